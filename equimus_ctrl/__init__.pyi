@@ -12,6 +12,7 @@ from .controllers.registry import (
 )
 from .controllers.sampling import SamplingController as SamplingController, SamplingSettings as SamplingSettings
 from .controllers.sampling_any import AnySamplingSettings as AnySamplingSettings
+from .controllers.search_space import Range as Range, SearchSpace as SearchSpace
 from .effects import (
     AsymmetricLag as AsymmetricLag,
     Backlash as Backlash,

@@ -129,7 +129,9 @@ def _alone(work: Callable[..., T], *args: Any, **kwargs: Any) -> T:
 
 
 @contextmanager
-def workers(asked: int | None = None, tasks: int | None = None) -> Iterator[Workers]:
+def workers(
+    asked: int | None = None, tasks: int | None = None, prepare: Callable[[], object] | None = None
+) -> Iterator[Workers]:
     """Processes that share work; what is left undone at the end, or when Ctrl-C is pressed, ends with them at once.
 
     They are fresh, not forked, for a fork copies locks that other threads may hold, and they do not hear Ctrl-C: who
@@ -138,6 +140,7 @@ def workers(asked: int | None = None, tasks: int | None = None) -> Iterator[Work
     Args:
         asked: by the user; as many as there are usable processors by default.
         tasks: how many pieces the work has, where it is known; no more than one worker a piece.
+        prepare: called in each process that begins, such as to load what a user's files define.
 
     Raises:
         ConfigError: where less than one is asked for.
@@ -147,8 +150,7 @@ def workers(asked: int | None = None, tasks: int | None = None) -> Iterator[Work
     if count == 1:
         yield Workers()
         return
-    ignore = (signal.SIGINT, signal.SIG_IGN)
-    pool = loky.ProcessPoolExecutor(count, initializer=signal.signal, initargs=ignore, env=ONE_THREAD)
+    pool = loky.ProcessPoolExecutor(count, initializer=_begin, initargs=(prepare,), env=ONE_THREAD)
     try:
         yield Workers(pool, count)
     except BrokenExecutor:
@@ -158,6 +160,12 @@ def workers(asked: int | None = None, tasks: int | None = None) -> Iterator[Work
         ) from None
     finally:
         pool.shutdown(kill_workers=True)
+
+
+def _begin(prepare: Callable[[], object] | None) -> None:
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    if prepare is not None:
+        prepare()
 
 
 def each_apart(

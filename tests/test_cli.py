@@ -19,7 +19,7 @@ from rich.console import Console
 
 import equimus_ctrl as eq
 from equimus_ctrl import effects, presets, recordings
-from equimus_ctrl.cli import autotune_pid
+from equimus_ctrl.cli import autotune
 from equimus_ctrl.cli.main import app, main
 from equimus_ctrl.controllers.registry import CONTROLLERS
 from equimus_ctrl.plants.registry import PLANTS
@@ -373,7 +373,7 @@ def test_autotune(ran: Any, here: Path, monkeypatch: pytest.MonkeyPatch) -> None
     for part in ("Gains", "cost", "stable on 1 unseen robots", "Margins", "on the MuJoCo plant"):
         assert part in err
     assert err.count("wrote ") == len(found["files"]) and "left" not in err
-    monkeypatch.setattr(autotune_pid, "people", lambda: Console(stderr=True, force_terminal=True, width=120))
+    monkeypatch.setattr(autotune, "people", lambda: Console(stderr=True, force_terminal=True, width=120))
     code, out, err = ran("autotune-pid", "--study", "small.toml", "--no-figures", "--json")
     assert code == 0 and json.loads(out)["reused"] == 3
     shown = re.sub(r"\x1b\[[0-9;?]*[A-Za-z]", "", err)

@@ -11,7 +11,7 @@ import pytest
 import typer
 
 from equimus_ctrl import workflow
-from equimus_ctrl.cli import autotune_pid, compare, diagnose, identify, prove, score, sensitivity, validate
+from equimus_ctrl.cli import autotune, compare, diagnose, identify, prove, score, sensitivity, validate
 from equimus_ctrl.cli.main import app, main
 from equimus_ctrl.cli.model_choice import ModelChoice
 from equimus_ctrl.cli.options import filled
@@ -36,7 +36,8 @@ from equimus_ctrl.workflow import prove as proving
 from equimus_ctrl.workflow import validate as validating
 
 VERBS: dict[str, tuple[Any, type[Any], Any, str, list[str]]] = {
-    "autotune-pid": (autotune_pid.autotune_pid, AutotuneOptions, workflow, "tune_pid", []),
+    "autotune": (autotune.autotune, AutotuneOptions, workflow, "autotune", ["lqr"]),
+    "autotune-pid": (autotune.autotune_pid, AutotuneOptions, workflow, "autotune", []),
     "compare": (compare.compare, CompareOptions, workflow, "compare", ["hold"]),
     "diagnose": (diagnose.diagnose, DiagnoseOptions, workflow, "diagnose_recordings", ["trials"]),
     "identify": (identify.identify, IdentifyOptions, workflow, "identify_files", ["trials"]),
@@ -188,6 +189,7 @@ def test_defaults_that_other_modules_have_too_are_the_same() -> None:
     ("kind", "changes", "sentence"),
     [
         (AutotuneOptions, {"workers": 0}, "workers is 0, expected at least 1"),
+        (AutotuneOptions, {"budget": 0.0}, "the budget is 0 s, expected more than 0"),
         (CompareOptions, {"draws": 0}, "draws is 0, expected at least 1"),
         (CompareOptions, {"seed": -1}, "seed is -1, expected at least 0"),
         (DiagnoseOptions, {"most": 7}, "the largest number of effects is 7, expected 1 to 6"),

@@ -11,19 +11,23 @@ import pytest
 from mjcf_models import RIG, pendulum, refusal
 
 from equimus_ctrl import presets, workflow
+from equimus_ctrl.computer import Workers
+from equimus_ctrl.controllers.pid_settings import PidSettings
 from equimus_ctrl.effects import PayloadMass, TransportDelay
 from equimus_ctrl.models.model import Model, nominal_model
 from equimus_ctrl.robots.mjcf.robot import MjcfRobot
-from equimus_ctrl.tuning.plant_tuning import PlantProblem, make_members, make_plant_problem
-from equimus_ctrl.tuning.study import Study, study_from_dict
+from equimus_ctrl.tuning.ensemble import make_members
+from equimus_ctrl.tuning.plant_tuning import PlantProblem, make_plant_problem
+from equimus_ctrl.tuning.study import PlantStudy, study_from_dict
 from equimus_ctrl.workflow.runs import own_settings
+from equimus_ctrl.workflow.tuning import study_for
 
 ROOT = Path(__file__).parents[1]
 STUDY = study_from_dict(presets.read_toml(ROOT / "tuning" / "pid_any.toml"))
 ARM = MjcfRobot("arm", pendulum('damping="0.3"').replace('timestep="0.001"', 'timestep="0.004"'))
 
 
-def quick(**changes: object) -> Study:
+def quick(**changes: object) -> PlantStudy:
     short = tuple(replace(o, duration=1.6) for o in STUDY.objectives)
     ensemble = replace(STUDY.ensemble, members=2, unseen=1)
     return replace(STUDY, objectives=short, ensemble=ensemble, candidates=3, **changes)  # type: ignore[arg-type]
@@ -56,7 +60,8 @@ def test_members_are_the_model_the_latest_and_others_within_the_spread() -> None
 
 
 def test_candidates_are_factors_on_placed_gains_to_six_digits(problem: PlantProblem) -> None:
-    placed, found = problem.placed, problem.settings(np.array([2.0, 0.5, 1.0, 3.0]))
+    placed = PidSettings.from_dict(problem.first.table)
+    found = PidSettings.from_dict(problem.candidate(np.array([2.0, 0.5, 1.0, 3.0])).table)
     own, first = found.gains["pivot"], placed.gains["pivot"]
     assert own.kp == pytest.approx(2 * first.kp, rel=1e-5) and own.ki == pytest.approx(first.ki / 2, rel=1e-5)
     assert found.derivative_time == pytest.approx(3 * placed.derivative_time, rel=1e-5) and found.decoupled
@@ -64,11 +69,12 @@ def test_candidates_are_factors_on_placed_gains_to_six_digits(problem: PlantProb
 
 
 def test_placed_gains_are_stable_on_the_ensemble_and_wild_ones_are_refused(problem: PlantProblem) -> None:
-    good = problem.evaluation(problem.placed)
+    wilder, wildest = problem.candidate(np.array([1.0, 1.0, 40.0, 0.3])), problem.candidate(np.full(4, 40.0))
+    good, wild = problem.evaluations([problem.first, wilder], Workers())
     assert good.stable and good.cost < 1e4 and len(good.member_costs) == 2
-    wild = problem.evaluation(problem.settings(np.array([1.0, 1.0, 40.0, 0.3])))
     assert not wild.feasible and wild.cost > 1e3
-    assert problem.moduli(problem.placed, 0)[0] < 1 < problem.moduli(problem.settings(np.full(4, 40.0)), 0)[0]
+    model = problem.members[0]
+    assert problem.moduli(problem.first, model)[0] < 1 < problem.moduli(wildest, model)[0]
 
 
 def test_a_study_that_names_joints_is_for_these_alone(tmp_path: Path) -> None:
@@ -101,7 +107,7 @@ def test_what_is_tuned_is_written_for_that_robot_and_run_takes_it(
 
 
 def test_the_leg_has_its_own_study() -> None:
-    from equimus_ctrl.workflow.runs import _study_for
-
-    assert _study_for(nominal_model()).name == "pid.toml"
-    assert _study_for(Model(ARM)).name == "pid_any.toml"
+    assert study_for("pid", nominal_model()).name == "pid.toml"
+    assert study_for("pid", Model(ARM)).name == "pid_any.toml"
+    assert study_for("lqr", nominal_model()).name == "leg.toml"
+    assert study_for("lqr", Model(ARM)).name == "any.toml"

@@ -147,7 +147,11 @@ WRONG = [
     ("search.kp.low", 151.0, "search.kp: low 151, start 150, high 3000; expected 0 < low ≤ start ≤ high"),
     ("search.kp.high", math.inf, "search.kp: low 5, start 150, high inf; expected 0 < low ≤ start ≤ high"),
     ("search.kp.start", "a", "search.kp: start is 'a', expected a number"),
-    ("search.kp.strat", 3, "search.kp: there is no key 'strat'; did you mean 'start'? (known: high, low, start)"),
+    (
+        "search.kp.strat",
+        3,
+        "search.kp: there is no key 'strat'; did you mean 'start'? (known: high, low, scale, start)",
+    ),
 ]
 
 

@@ -432,5 +432,5 @@ def test_nothing_feasible_writes_no_settings(study: Path, tmp_path: Path) -> Non
 
 def test_without_a_study_anywhere_it_is_a_sentence(study: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(presets, "find", lambda kind, file: None)
-    with pytest.raises(eq.ConfigError, match=r"there is no tuning/pid_any.toml; name a study with --study"):
+    with pytest.raises(eq.ConfigError, match=r"there is no tuning/any.toml; name a study with --study"):
         workflow.tune_pid()

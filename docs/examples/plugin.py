@@ -29,16 +29,27 @@ class Ripple(eq.ForceEffect):
 
 
 class Leaning:
-    """The pressures that hold the reference at rest, a twentieth less."""
+    """The pressures that hold the reference at rest, some less; how much less can be tuned."""
+
+    def __init__(self, share=0.95):
+        self.share = share
 
     def init(self, spec, observation):
         return eq.Kinematics(spec.model, spec.phase)
 
     def step(self, observation, reference, kinematics):
-        return 0.95 * kinematics.static_pressure(reference.position(observation.time)), kinematics
+        return self.share * kinematics.static_pressure(reference.position(observation.time)), kinematics
 
 
-eq.register_controller("leaning", eq.ControllerEntry("static pressures, a twentieth less", lambda given: Leaning()))
+eq.register_controller(
+    "leaning",
+    eq.ControllerEntry(
+        "static pressures, some less",
+        lambda given: Leaning(**(given.settings or {})),
+        settings="leaning.toml",
+        search={"share": eq.Range(0.5, 1.5, 0.95, scale="linear")},
+    ),
+)
 
 
 def slow_leg(given):

@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from equimus_ctrl.cli import (
-    autotune_pid,
+    autotune,
     compare,
     diagnose,
     emulate,
@@ -40,7 +40,8 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
-app.command("autotune-pid")(autotune_pid.autotune_pid)
+app.command("autotune")(autotune.autotune)
+app.command("autotune-pid")(autotune.autotune_pid)
 app.command("run")(run.run)
 app.command("compare")(compare.compare)
 app.command("emulate")(emulate.emulate)

@@ -324,12 +324,14 @@ class LqrController:
 
     Args:
         settings: of it.
+        in_time: whether gains are worked out before the first step, else as they are needed.
     """
 
     name = "lqr"
 
-    def __init__(self, settings: LqrSettings | None = None) -> None:
+    def __init__(self, settings: LqrSettings | None = None, in_time: bool = True) -> None:
         self.settings = settings or LqrSettings()
+        self._in_time = in_time
 
     def init(self, spec: PlantSpec, observation: Observation) -> LqrState:
         """A robot that has long been at rest.
@@ -345,7 +347,8 @@ class LqrController:
         model = observer.model
         inverse = Inverse(model, spec.control_dt, s.start_time if allowed.driven.all() else 0.0)
         tools = LqrTools(observer, inverse, Schedule(model, s, spec.control_dt, allowed), spec.control_dt)
-        tools.schedule.prepare()
+        if self._in_time:
+            tools.schedule.prepare()
         under_way = tuple(np.zeros(count) for count in waiting(model, spec.control_dt))
         begun = observer.init(observation)
         followed, none = inverse.start(observation.time, position), np.zeros(len(position))

@@ -13,7 +13,9 @@ from equimus_ctrl.controllers.pid import PidController
 from equimus_ctrl.controllers.pid_settings import PidSettings
 from equimus_ctrl.controllers.sampling import SamplingController, SamplingSettings
 from equimus_ctrl.controllers.sampling_any import AnySamplingSettings
-from equimus_ctrl.errors import ConfigError, ControllerError
+from equimus_ctrl.controllers.search_space import Search
+from equimus_ctrl.controllers.searched import lqr_space, nmpc_space, placed_space, sampling_space
+from equimus_ctrl.errors import ConfigError, ControllerError, EquimusError
 from equimus_ctrl.registry import Registry
 from equimus_ctrl.robots.base import Need, Robot
 from equimus_ctrl.types import Array, Controller
@@ -29,6 +31,7 @@ class ControllerRequest:
         robot: that it will drive; None where that is not known yet.
         where: the settings' file, for messages.
         chosen: whether somebody named that file, or it is the robot's own by its name.
+        in_time: whether its steps are to keep up with the clock; else it may work out on the way what it needs.
     """
 
     settings: Mapping[str, Any] | None = None
@@ -36,6 +39,7 @@ class ControllerRequest:
     robot: Robot | None = None
     where: str = "controller"
     chosen: bool = False
+    in_time: bool = True
 
 
 @dataclass(frozen=True)
@@ -49,6 +53,7 @@ class ControllerEntry:
         compared: whether a comparison takes it where nobody says which.
         needs: what a robot has to offer it, see ``Robot.offers``.
         plays: whether it needs that only where a scenario has no commands to play.
+        search: what a tuning may change of its settings, see ``controllers.search_space``; None where nothing.
     """
 
     summary: str
@@ -57,6 +62,27 @@ class ControllerEntry:
     compared: bool = True
     needs: frozenset[Need] = frozenset()
     plays: bool = False
+    search: Search | None = None
+
+    def __post_init__(self) -> None:
+        if self.search is not None and self.settings is None:
+            raise ConfigError(
+                "a controller that declares what is searched of its settings needs a file of them, such as "
+                "settings='mine.toml'"
+            )
+
+    def made(self, given: ControllerRequest) -> Controller:
+        """A controller.
+
+        Raises:
+            EquimusError: where its settings do not fit, or it fails when it is made.
+        """
+        try:
+            return self.make(given)
+        except EquimusError:
+            raise
+        except Exception as error:
+            raise ControllerError(f"{given.where}: fails when it is made: {type(error).__name__}: {error}") from error
 
     def lacks(self, robot: Robot, commands: bool = False) -> str:
         """What a robot does not offer it, as a phrase; empty where it offers all.
@@ -132,15 +158,18 @@ register_controller(
 )
 register_controller(
     "pid",
-    ControllerEntry("PID on joints or actuator lengths with feed-forward", _pid, "pid.toml", needs=EXACT),
+    ControllerEntry(
+        "PID on joints or actuator lengths with feed-forward", _pid, "pid.toml", needs=EXACT, search=placed_space
+    ),
 )
 register_controller(
     "lqr",
     ControllerEntry(
         "LQR along the reference on an observer's state, with integral action",
-        lambda given: LqrController(LqrSettings.from_dict(given.settings or {}, given.where)),
+        lambda given: LqrController(LqrSettings.from_dict(given.settings or {}, given.where), given.in_time),
         "lqr.toml",
         needs=EXACT,
+        search=lqr_space,
     ),
 )
 register_controller(
@@ -150,6 +179,7 @@ register_controller(
         lambda given: NmpcController(NmpcSettings.from_dict(given.settings or {}, given.where)),
         "nmpc.toml",
         needs=EXACT,
+        search=nmpc_space,
     ),
 )
 register_controller(
@@ -158,6 +188,7 @@ register_controller(
         "sampling MPC in MuJoCo: predictive sampling, MPPI or CEM",
         _sampling,
         "sampling.toml",
+        search=sampling_space,
     ),
 )
 
@@ -177,6 +208,19 @@ def compared_controllers(robot: Robot | None = None) -> tuple[str, ...]:
             f"{entry.lacks(robot)}; name one of your own, path/to/file.py:Name"
         )
     return able
+
+
+def tunable(name: str) -> tuple[ControllerEntry, Search]:
+    """A controller that declares what is searched of its settings, and what that is.
+
+    Raises:
+        ControllerError: for an unknown name, or one that declares nothing.
+    """
+    entry = CONTROLLERS.entry(name)
+    if entry.search is None:
+        able = ", ".join(other for other, own in CONTROLLERS.items() if own.search is not None)
+        raise ControllerError(f"controller {name} declares nothing to be searched; those that do: {able}")
+    return entry, entry.search
 
 
 def make_controller(
@@ -206,4 +250,4 @@ def make_controller(
     if robot is not None and (missing := entry.lacks(robot, given)):
         able = ", ".join(other for other in CONTROLLERS if not CONTROLLERS[other].lacks(robot, given)) or "none"
         raise ControllerError(f"{name} computes with {missing}; those that can drive it: {able}")
-    return entry.make(ControllerRequest(settings, commands, robot, where, chosen))
+    return entry.made(ControllerRequest(settings, commands, robot, where, chosen))

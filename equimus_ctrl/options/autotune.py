@@ -1,30 +1,33 @@
-"""Options of ``autotune-pid``."""
+"""Options of ``autotune``."""
 # ruff: noqa: RUF009 – options are fields, made as ``dataclasses.field`` makes them
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from equimus_ctrl.errors import ConfigError
 from equimus_ctrl.options.fields import NAMES, at_least, threads_option
 from equimus_ctrl.options.offers import option
 
 
 @dataclass(frozen=True)
 class AutotuneOptions:
-    """How the PID is tuned, beside what a study says.
+    """How a controller is tuned, beside what a study says.
 
     Attributes:
         scenarios: objectives in place of the study's own, each of the same weight.
-        candidates: sets of gains to try in all, in place of the study's number.
+        candidates: sets of numbers to try in all, in place of the study's number.
         seed: of the search, the ensemble and the noise, in place of the study's.
-        output: settings file to write; ``controllers/pid.toml`` by default.
+        output: settings file to write; the controller's own in ``controllers/`` by default.
         folder: of the record and the journal; ``tuning/results/<study>`` by default.
         recordings: folder that scenarios may take recordings from; none by default, so that the same command gives the
             same gains whether recordings are at hand or not.
         fresh: do not take up an interrupted run.
-        workers: threads; all cores by default.
+        workers: threads or processes; all cores by default.
+        budget: the search gives its best so far after this time; as long as its candidates take by default [s].
 
     Raises:
         ConfigError: for a value that cannot be.
@@ -33,10 +36,10 @@ class AutotuneOptions:
     scenarios: Sequence[str] = option(
         (), NAMES, "Objective in place of the study's own; may be repeated.", "--scenario"
     )
-    candidates: int | None = option(None, int | None, "Sets of gains to try in all.")
+    candidates: int | None = option(None, int | None, "Sets of numbers to try in all.")
     seed: int | None = option(None, int | None, "Of the search, the ensemble and the noise.")
     output: Path | None = option(
-        None, Path | None, "Settings file to write; controllers/pid.toml by default.", "--output", "-o"
+        None, Path | None, "Settings file to write; controllers/<controller>.toml by default.", "--output", "-o"
     )
     folder: Path | None = option(
         None, Path | None, "Folder for record, journal and figures; tuning/results/<study> by default.", "--results"
@@ -45,8 +48,16 @@ class AutotuneOptions:
         None, Path | None, "Folder that scenarios may take recordings from; none by default.", metavar="DIR"
     )
     fresh: bool = option(False, bool, "Start anew instead of going on where a run stopped.", "--fresh")
-    workers: int | None = threads_option("Threads; all cores by default.")
+    workers: int | None = threads_option("Threads or processes; all cores by default.")
+    budget: float | None = option(
+        None,
+        float | None,
+        "Give the best so far after this time; the same command with more goes on from there.",
+        metavar="SECONDS",
+    )
 
     def __post_init__(self) -> None:
         """Check the values; what a study may say is checked as a study's."""
         at_least("workers", self.workers, 1)
+        if self.budget is not None and not 0 < self.budget < math.inf:
+            raise ConfigError(f"the budget is {self.budget:g} s, expected more than 0")

@@ -15,8 +15,9 @@ from equimus_ctrl.report import style
 from equimus_ctrl.robots.reading import reading
 from equimus_ctrl.tuning.autotune import unseen_problem
 from equimus_ctrl.tuning.objective import Evaluation, Problem
-from equimus_ctrl.tuning.plant_tuning import PlantTuning
+from equimus_ctrl.tuning.plant_tuning import HARDEST, PlantTuning
 from equimus_ctrl.tuning.result import TuningResult
+from equimus_ctrl.tuning.study import Study
 
 STAGES = {
     "start": ("start", style.INK),
@@ -26,19 +27,18 @@ STAGES = {
 }
 BEFORE, AFTER = style.FAINT, style.JOINT_COLOURS[0]
 MOST_LEGS = 20
+SHOWN = 2
+"""Robots whose responses are drawn where each is simulated again for that: the model and the hardest."""
 LINES: tuple[tuple[float, Sequence[float]], ...] = ((0, ()), (0, (1, 1)), (0, (4, 1, 1, 1)))
 
 
 def save_tuning_figures(result: TuningResult, folder: Path) -> list[Path]:
-    """Write convergence.png, response.png and, of a leg, robustness.png."""
+    """Write convergence.png, response.png and robustness.png."""
+    figures = {"convergence": convergence_figure(result)}
     if isinstance(result, PlantTuning):
-        own = {"convergence": convergence_figure(result), "response": plant_response_figure(result)}
-        return [style.save(figure, folder / f"{name}.png") for name, figure in own.items()]
-    figures = {
-        "convergence": convergence_figure(result),
-        "response": response_figure(result),
-        "robustness": robustness_figure(result),
-    }
+        figures |= {"response": plant_response_figure(result), "robustness": plant_robustness_figure(result)}
+    else:
+        figures |= {"response": response_figure(result), "robustness": robustness_figure(result)}
     return [style.save(figure, folder / f"{name}.png") for name, figure in figures.items()]
 
 
@@ -83,8 +83,8 @@ def convergence_figure(result: TuningResult) -> Figure:
     robots = len(result.problem.members)
     style.dress(
         axes,
-        title=f"cost {before:.3f} before, {after:.3f} after {len(trials)} sets of gains on {robots} robots",
-        x="set of gains, in the order tried",
+        title=f"cost {before:.3f} before, {after:.3f} after {len(trials)} {result.noun} on {robots} robots",
+        x=f"{result.noun}, in the order tried",
         y="cost",
     )
     style.legend_below(figure, handles)
@@ -92,7 +92,7 @@ def convergence_figure(result: TuningResult) -> Figure:
 
 
 def plant_response_figure(result: PlantTuning) -> Figure:
-    """Errors of the true positions with the first and with the tuned gains, on every robot of the ensemble."""
+    """Errors of the true positions with the first and the tuned settings, on the model and on the hardest robot."""
     problem = result.problem
     robot = problem.model.robot
     shown = [j for j, acts in enumerate(problem.driven) if acts]
@@ -101,21 +101,24 @@ def plant_response_figure(result: PlantTuning) -> Figure:
     grid = figure.subplots(len(shown), len(problem.tasks), squeeze=False, sharex="col")
     for k, task in enumerate(problem.tasks):
         for settings, colour in ((result.start, BEFORE), (result.settings, AFTER)):
-            for member in range(len(problem.members)):
-                run = problem.driven_by(settings, member, k)
+            for member, own_robot in enumerate(problem.members[:SHOWN]):
+                run = problem.driven_by(settings, own_robot, task)
                 assert run.truth is not None  # a simulated plant knows it
                 for row, j in enumerate(shown):
                     own = reading(robot.joint_units[j])
                     error = own.factor * (run.truth[:, j] - run.reference[:, j])
-                    grid[row, k].plot(run.time, error, color=colour, linewidth=1.6 if member == 0 else 0.7, alpha=0.9)
+                    grid[row, k].plot(run.time, error, color=colour, linestyle=LINES[member], linewidth=1.5)
         for row, j in enumerate(shown):
             unit, last = reading(robot.joint_units[j]).unit, row == len(shown) - 1
             title = f"{task.name}: {robot.joint_names[j]}"
             style.dress(grid[row, k], title=title, y=f"error [{unit}]", x="time [s]" if last else "")
     handles = [
-        Line2D([], [], color=BEFORE, label="first gains"),
+        Line2D([], [], color=BEFORE, label="first settings"),
         Line2D([], [], color=AFTER, label="tuned"),
-        Line2D([], [], color=style.INK, linewidth=0.7, label="on the other robots of the ensemble"),
+        *(
+            Line2D([], [], color=style.INK, linestyle=LINES[member], label=label)
+            for member, label in enumerate(("on the model", "on the robot that is latest")[: len(problem.members)])
+        ),
     ]
     style.legend_below(figure, handles)
     return figure
@@ -174,25 +177,45 @@ def robustness_figure(result: TuningResult) -> Figure:
     """Cost on every leg before and after, and the tuned response on legs that took no part in the tuning."""
     figure = style.new_figure(11.0, 5.4, "Robustness")
     spans = figure.add_gridspec(len(result.problem.model.morphology.joints), 2, width_ratios=(1.1, 1))
-    axes = figure.add_subplot(spans[:, 0])
+    handles = _robot_costs(figure.add_subplot(spans[:, 0]), result)
+    handles.append(Line2D([], [], color=style.REFERENCE, linestyle=style.DASHES, label="reference"))
+    _unseen_panels(figure, spans, result)
+    style.legend_below(figure, handles)
+    return figure
+
+
+def plant_robustness_figure(result: PlantTuning) -> Figure:
+    """Cost on every robot before and after."""
+    figure = style.new_figure(9.0, 5.0, "Robustness")
+    style.legend_below(figure, _robot_costs(figure.add_subplot(), result))
+    return figure
+
+
+def _robot_costs(axes: Axes, result: TuningResult) -> list[Line2D]:
+    """Draw the cost on every robot, tuned on and not, before and after; the legend's handles."""
     seen_after = list(result.best.evaluation.member_costs)
     seen_before = list(result.start_evaluation.member_costs)
+    if len(seen_before) < len(seen_after):  # it failed on the robot that is hardest, and was not tried on the others
+        seen_before = [np.inf if k == HARDEST else np.nan for k in range(len(seen_after))]
     groups = [
         (seen_before, seen_after, "tuned on"),
         (_costs(result.start_unseen), _costs(result.unseen), "never tuned on"),
     ]
     finite = [c for before, after, _ in groups for c in (*before, *after) if np.isfinite(c)]
     low, high = min(finite), max(finite)
+    high = max(high, low + 1e-3)
     lost = high + 0.12 * (high - low)
     x = 0
     for before, after, label in groups:
+        if not after:
+            continue
         order = np.argsort(after)
         places = x + np.arange(len(after))
         for values, colour, size in ((before, BEFORE, 22), (after, AFTER, 30)):
             shown = np.array([values[i] for i in order])
-            good = np.isfinite(shown)
+            good, failed = np.isfinite(shown), np.isinf(shown)
             axes.scatter(places[good], shown[good], s=size, color=colour, linewidths=0, zorder=3)
-            axes.scatter(places[~good], np.full((~good).sum(), lost), s=36, color=colour, marker="x", zorder=3)
+            axes.scatter(places[failed], np.full(failed.sum(), lost), s=36, color=colour, marker="x", zorder=3)
         axes.text(
             places.mean(),
             low - 0.1 * (high - low),
@@ -207,23 +230,20 @@ def robustness_figure(result: TuningResult) -> Figure:
         x += len(after) + 2
     axes.set_xticks([])
     axes.set_ylim(low - 0.32 * (high - low), lost + 0.08 * (high - low))
-    style.dress(axes, title="cost on each leg, from the easiest to the hardest", y="cost")
-    if any(not np.isfinite(c) for before, after, _ in groups for c in (*before, *after)):
+    style.dress(axes, title=f"cost on each {result.member}, from the easiest to the hardest", y="cost")
+    if any(np.isinf(c) for before, after, _ in groups for c in (*before, *after)):
         axes.axhline(lost, color=style.ALERT, linewidth=0.8, linestyle=":")
-    handles = [
-        Line2D([], [], marker="o", linestyle="", color=BEFORE, label="first gains"),
+    return [
+        Line2D([], [], marker="o", linestyle="", color=BEFORE, label="first"),
         Line2D([], [], marker="o", linestyle="", color=AFTER, label="tuned"),
         Line2D([], [], marker="x", linestyle="", color=style.INK, label="unstable"),
-        Line2D([], [], color=style.REFERENCE, linestyle=style.DASHES, label="reference"),
     ]
-    _unseen_panels(figure, spans, result)
-    style.legend_below(figure, handles)
-    return figure
 
 
 def _unseen_panels(figure: Figure, spans: object, result: TuningResult) -> None:
     if not result.unseen:
         return
+    assert isinstance(result.study, Study)
     problem = unseen_problem(result.problem, result.study)
     problem.warm_up()
     task = problem.tasks[0]
@@ -241,5 +261,5 @@ def _unseen_panels(figure: Figure, spans: object, result: TuningResult) -> None:
 
 
 def _costs(evaluations: list[Evaluation]) -> list[float]:
-    """Costs of single legs without the penalty of a limit; NaN where unstable."""
-    return [e.member_costs[0] if e.stable else float("nan") for e in evaluations]
+    """Costs of single robots without the penalty of a limit; infinite where unstable."""
+    return [e.member_costs[0] if e.stable else np.inf for e in evaluations]

@@ -6,6 +6,7 @@ import hashlib
 import inspect
 import json
 import math
+import time as clock
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, replace
@@ -33,6 +34,9 @@ from equimus_ctrl.tuning.stability import Margins, least_margins, margins
 from equimus_ctrl.tuning.study import Study
 from equimus_ctrl.types import Array, Start
 
+UNSEEN = 1_000_003
+"""Beyond the study's seed, of robots that take no part in the tuning."""
+
 
 class NothingFeasible(EquimusError):
     """No set of gains within the limits was found."""
@@ -56,7 +60,7 @@ def make_problem(study: Study, model: Model, scenarios: Sequence[Scenario]) -> P
 
 def unseen_problem(problem: Problem, study: Study) -> Problem:
     """The same problem on legs that took no part in the tuning."""
-    legs = make_ensemble(problem.model, study.ensemble, study.ensemble.unseen, study.seed + 1_000_003, fixed=False)
+    legs = make_ensemble(problem.model, study.ensemble, study.ensemble.unseen, study.seed + UNSEEN, fixed=False)
     return replace(problem, members=legs, _starts={}, _legs={}, _plans={})
 
 
@@ -64,7 +68,7 @@ def study_key(study: Study, problem: Problem) -> str:
     """A fingerprint of everything an evaluation depends on; journals of another fingerprint are of no use."""
     kernel = problem.code()
     classes = {type(effect) for effect in problem.model.effects}
-    laws = sorted(_source(cls) for cls in classes if not cls.__module__.startswith("equimus_ctrl."))
+    laws = sorted(source(cls) for cls in classes if not cls.__module__.startswith("equimus_ctrl."))
     text = json.dumps([asdict(study), model_to_dict(problem.model), versions(), kernel, laws], sort_keys=True)
     digest = hashlib.sha256(text.encode())
     for task in problem.tasks:
@@ -74,7 +78,7 @@ def study_key(study: Study, problem: Problem) -> str:
     return digest.hexdigest()
 
 
-def _source(cls: type) -> str:
+def source(cls: type) -> str:
     """What a user's effect says; its name where that cannot be read."""
     try:
         return inspect.getsource(cls)
@@ -88,6 +92,7 @@ def autotune(
     journal: Journal,
     notify: Callable[[Trial], None] = lambda trial: None,
     workers: int | None = None,
+    budget: float | None = None,
 ) -> TuningResult:
     """Search, then look hard at what was found.
 
@@ -99,13 +104,15 @@ def autotune(
         journal: where evaluations are kept and found again.
         notify: called after each candidate.
         workers: threads; all cores by default.
+        budget: longest time of the search [s]; none by default.
 
     Raises:
         NothingFeasible: where no candidate was stable and within the limits on every leg.
     """
     channels = study.settings(np.ones(64), ()).channels(problem.model.morphology)
     ranges = [r for _, r in study.ranges(channels)]
-    search = Search.over(ranges, study, journal, notify)
+    search = Search.of(ranges, study, journal, notify)
+    search.over = time_is_up(budget)
     # Linear algebra keeps to one thread each: the cores are busy with candidates, and the bits stay the same on any
     # number of them.
     threads = worker_count(workers)
@@ -143,11 +150,31 @@ def autotune(
         _margins_of(problem, settings, problem.members[0], problem.poses()[0]),
         _least_margins(problem, settings),
         checks,
+        search.timed_out,
     )
 
 
-def best_feasible(history: Sequence[Trial], verified: Callable[[Trial], bool] = lambda trial: True) -> Trial:
+def time_is_up(budget: float | None) -> Callable[[], bool]:
+    """Tells whether a time has passed since now [s]; never of None."""
+    if budget is None:
+        return lambda: False
+    end = clock.monotonic() + budget
+    return lambda: clock.monotonic() >= end
+
+
+def best_feasible(
+    history: Sequence[Trial],
+    verified: Callable[[Trial], bool] = lambda trial: True,
+    noun: str = TuningResult.noun,
+    member: str = TuningResult.member,
+) -> Trial:
     """The cheapest candidate that is stable and within the limits on every leg, and ``verified``.
+
+    Args:
+        history: what was tried.
+        verified: looks at one more closely.
+        noun: what candidates are, in messages.
+        member: what a robot of the ensemble is, in messages.
 
     Raises:
         NothingFeasible: where there is none, saying what the nearest one lacked.
@@ -158,14 +185,14 @@ def best_feasible(history: Sequence[Trial], verified: Callable[[Trial], bool] = 
             return trial
     if allowed:
         raise NothingFeasible(
-            f"{len(allowed)} of {len(history)} sets of gains kept all limits while searching, but none of them keeps "
+            f"{len(allowed)} of {len(history)} {noun} kept all limits while searching, but none of them keeps "
             "the gain margin at every pose along the moving references"
         )
     if not history:
-        raise NothingFeasible("the search was stopped before any set of gains was tried")
+        raise NothingFeasible(f"the search was stopped before any of the {noun} was tried")
     nearest = min(history, key=lambda trial: trial.evaluation.cost).evaluation
     why = (
-        "is unstable on some leg"
+        f"is unstable on some {member}"
         if not nearest.stable
         else (
             f"overshoots by {nearest.overshoot:.0%}, is saturated {nearest.saturation:.0%} of the time, its slowest "
@@ -173,7 +200,7 @@ def best_feasible(history: Sequence[Trial], verified: Callable[[Trial], bool] = 
         )
     )
     raise NothingFeasible(
-        f"none of {len(history)} sets of gains is stable and within the limits on every leg; the nearest {why}"
+        f"none of {len(history)} {noun} is stable and within the limits on every {member}; the nearest {why}"
     )
 
 

@@ -1,18 +1,19 @@
-"""The legs a controller must work on: a model with its parameters spread, behind valves of unknown speed."""
+"""The robots a controller must work on: a model with its parameters spread, behind drives that are late."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from equimus_ctrl.effects.base import Effect, require_simulated
 from equimus_ctrl.effects.bodies import BodyEffect, changed_bodies
 from equimus_ctrl.effects.command import POWER
-from equimus_ctrl.effects.valves import ValveEffect, valve_settings
+from equimus_ctrl.effects.valves import FirstOrderLag, TransportDelay, ValveEffect, valve_settings
 from equimus_ctrl.engines.rest import rest_pose
 from equimus_ctrl.models.model import Model
-from equimus_ctrl.models.spread import groups, latin_hypercube, perturbed
+from equimus_ctrl.models.spread import Group, groups, latin_hypercube, perturbed
 from equimus_ctrl.robots.elastic.morphology import VARYING, Morphology, Phase, pack
 from equimus_ctrl.tuning.study import EnsembleSettings
 from equimus_ctrl.types import Array
@@ -63,14 +64,8 @@ def make_ensemble(model: Model, settings: EnsembleSettings, count: int, seed: in
     m = changed_bodies(model.effects, model.morphology)
     spreads = groups(m, {key: getattr(settings, key) for key in (*VARYING, "mass")})
     na = len(m.actuators)
-    corner = [
-        1.0 if names[0].endswith(".area") else 0.5 if names[0].endswith(".rest_length") else 0.0 for names, _ in spreads
-    ]
-    known = [np.full(len(spreads) + 2 * na, 0.5), np.array([*corner, *([1.0] * (2 * na))])][:count] if fixed else []
-    drawn = count - len(known)
-    shares = latin_hypercube(drawn, len(spreads) + 2 * na, np.random.default_rng(seed))
-    rows = [*known, *shares]
-    labels = ["model", "hardest"][: len(known)]
+    rows = _rows(spreads, 2 * na, count, seed, fixed)
+    labels = ["model", "hardest"][: count if fixed else 0]
     own = valve_settings(model.effects, m.actuator_names)
     has_own = any(isinstance(effect, ValveEffect) for effect in model.effects)
     others = tuple(effect for effect in model.effects if not isinstance(effect, (ValveEffect, BodyEffect)))
@@ -88,3 +83,57 @@ def make_ensemble(model: Model, settings: EnsembleSettings, count: int, seed: in
         changed = perturbed(m, spreads, row[: len(spreads)])
         members.append(Member(labels[k] if k < len(labels) else f"leg {k}", changed, pack(changed), valve, others))
     return members
+
+
+def make_members(model: Model, settings: EnsembleSettings, count: int, seed: int, fixed: bool = True) -> list[Model]:
+    """Robots of any kind around a model, drawn by a Latin hypercube; commands are later than the model says.
+
+    Args:
+        model: at the centre.
+        settings: how far its numbers spread; dead times add to those it has, lags stand where it has none.
+        count: how many.
+        seed: the same seed gives the same robots.
+        fixed: as of ``make_ensemble``.
+
+    Raises:
+        ConfigError: where an effect is of no kind known here.
+    """
+    require_simulated(model.effects, f"{model.name}: the tuning loop")
+    robot = changed_bodies(model.effects, model.robot)
+    spreads = groups(robot, {key: getattr(settings, key) for key in (*VARYING, "mass")})
+    names = robot.actuator_names
+    kept = [effect for effect in model.effects if not isinstance(effect, BodyEffect)]
+    slow = {effect.location for effect in kept if isinstance(effect, ValveEffect) and effect.exclusive == "lag"}
+    members = []
+    for row in _rows(spreads, 2 * len(names), count, seed, fixed):
+        late = row[len(spreads) :].reshape(len(names), 2)
+        delays, lags = (
+            (low + share * (high - low)).tolist()
+            for share, (low, high) in zip(late.T, (settings.delay, settings.lag), strict=True)
+        )
+        own = Model(perturbed(robot, spreads, row[: len(spreads)]), tuple(kept), model.phase)
+        lagging = [
+            FirstOrderLag(name, lag) for name, lag in zip(names, lags, strict=True) if lag > 0 and name not in slow
+        ]
+        members.append(later(replace(own, effects=(*kept, *lagging)), delays))
+    return members
+
+
+def later(model: Model, delays: float | Sequence[float]) -> Model:
+    """A model whose commands are later by so much, one for all or one for each actuator [s]."""
+    names = model.robot.actuator_names
+    known = {effect.location: effect.delay for effect in model.effects if isinstance(effect, TransportDelay)}
+    others = tuple(effect for effect in model.effects if not isinstance(effect, TransportDelay))
+    more = np.broadcast_to(delays, len(names)).tolist()
+    late = [TransportDelay(name, known.get(name, 0.0) + delay) for name, delay in zip(names, more, strict=True)]
+    return Model(model.robot, (*others, *late), model.phase)
+
+
+def _rows(spreads: Sequence[Group], late: int, count: int, seed: int, fixed: bool) -> list[Array]:
+    """Places in the ranges of parameters and of what is late: the middle, what is hardest to stabilise, and drawn."""
+    n = len(spreads) + late
+    corner = [
+        1.0 if names[0].endswith(".area") else 0.5 if names[0].endswith(".rest_length") else 0.0 for names, _ in spreads
+    ]
+    known = [np.full(n, 0.5), np.array([*corner, *([1.0] * late)])][:count] if fixed else []
+    return [*known, *latin_hypercube(count - len(known), n, np.random.default_rng(seed))]

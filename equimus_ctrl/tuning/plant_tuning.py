@@ -1,9 +1,9 @@
-"""Tuning the PID of any robot on its plant in MuJoCo: factors on the gains that the mass matrix places.
+"""Tuning any controller on the plant of any robot, in MuJoCo: what is searched is what its entry declares.
 
-One factor for k_p, one for k_i, k_d and the derivative's time constant, the same for every joint: decoupled joints are
-alike (``controllers.placement``), so that the search has four numbers however many joints there are. Cost, limits and
-search are those of the leg's tuning (``tuning.objective``, ``tuning.search``); a mm of a slide counts as a degree of a
-hinge, and joints without actuator do not count.
+Candidates are numbers of ``controllers.search_space``; each is driven through the scenarios on every robot of an
+ensemble. Cost, limits and search are those of the leg's PID (``tuning.objective``, ``tuning.search``); a mm of a slide
+counts as a degree of a hinge, and joints without actuator do not count. Where a controller has linearised loops, these
+must be stable with all gains raised; else the robot that is latest must also come to rest when it is later still.
 """
 
 from __future__ import annotations
@@ -11,68 +11,37 @@ from __future__ import annotations
 import hashlib
 import json
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from equimus_ctrl import computer
-from equimus_ctrl.controllers.pid import PidController
-from equimus_ctrl.controllers.pid_settings import PidGains, PidSettings
-from equimus_ctrl.controllers.placement import Loop, placed_gains
-from equimus_ctrl.effects import TransportDelay
-from equimus_ctrl.effects.bodies import BodyEffect, changed_bodies
-from equimus_ctrl.effects.sensors import SENSOR_DELAY, sensor_settings
-from equimus_ctrl.errors import SimulationDiverged
+from equimus_ctrl.controllers.registry import ControllerEntry, ControllerRequest, tunable
+from equimus_ctrl.controllers.search_space import SearchSpace, space_of
+from equimus_ctrl.errors import ConfigError, ControllerError, NotAvailable, SimulationDiverged
 from equimus_ctrl.models.dynamics import Dynamics
 from equimus_ctrl.models.model import Model, model_to_dict
-from equimus_ctrl.models.solved import valves_of
-from equimus_ctrl.models.spread import groups, latin_hypercube, perturbed
 from equimus_ctrl.plants.mujoco_plant import MujocoPlant
 from equimus_ctrl.robots.reading import reading
 from equimus_ctrl.scenarios.scenario import Scenario
 from equimus_ctrl.simulate import run
-from equimus_ctrl.tuning.autotune import best_feasible
+from equimus_ctrl.tuning.autotune import UNSEEN, best_feasible, source, time_is_up
+from equimus_ctrl.tuning.ensemble import later, make_members
 from equimus_ctrl.tuning.objective import BAND, TERMS, Evaluation, LegOutcome, Outcome, judged
 from equimus_ctrl.tuning.result import TuningResult, versions
 from equimus_ctrl.tuning.search import Journal, Search, Trial
-from equimus_ctrl.tuning.study import GAINS, EnsembleSettings, Limits, Study, Weights
-from equimus_ctrl.types import Array, Run
+from equimus_ctrl.tuning.study import Limits, PlantStudy, Weights
+from equimus_ctrl.types import Array, Controller, Run, Start
 
-KINDS = ("mass", "damping", "stiffness")
-"""What varies between the robots of an ensemble, see ``Robot.varying``."""
 JUST_STABLE = 1 - 1e-9
 """Modulus of a loop of which some joints die away as slowly as they do by themselves."""
-
-
-def make_members(model: Model, settings: EnsembleSettings, count: int, seed: int, fixed: bool = True) -> list[Model]:
-    """Robots around a model, drawn by a Latin hypercube.
-
-    Args:
-        model: at the centre.
-        settings: how far its numbers spread, and how late commands may be.
-        count: how many.
-        seed: the same seed gives the same robots.
-        fixed: whether the first is the model itself, late by the mean, and the second the latest with the least damping
-            and mass.
-    """
-    robot = changed_bodies(model.effects, model.robot)
-    spreads = groups(robot, {key: getattr(settings, key) for key in KINDS})
-    n = len(spreads) + 1
-    known = [np.full(n, 0.5), np.append(np.zeros(n - 1), 1.0)][:count] if fixed else []
-    rows = [*known, *latin_hypercube(count - len(known), n, np.random.default_rng(seed))]
-    kept = tuple(effect for effect in model.effects if not isinstance(effect, BodyEffect))
-    members = []
-    for row in rows:
-        late = settings.delay[0] + row[-1] * (settings.delay[1] - settings.delay[0])
-        own = {effect.location: effect for effect in kept if isinstance(effect, TransportDelay)}
-        delays = [
-            TransportDelay(name, late + (own[name].delay if name in own else 0.0)) for name in robot.actuator_names
-        ]
-        others = tuple(effect for effect in kept if not isinstance(effect, TransportDelay))
-        members.append(Model(perturbed(robot, spreads, row[:-1]), (*others, *delays), model.phase))
-    return members
+TRIED = 10
+"""Control periods of the try that shows whether a controller can drive the robot at all."""
+AHEAD = 2
+"""Candidates by process that are begun together: what is done when the time is up is not lost."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,24 +58,48 @@ class PlantTask:
         return self.scenario.name
 
 
+@dataclass(frozen=True)
+class Candidate:
+    """Numbers that were searched, and the settings they make.
+
+    Attributes:
+        values: name → number.
+        table: what the settings file holds.
+    """
+
+    values: Mapping[str, float]
+    table: Mapping[str, Any]
+
+    def to_dict(self) -> dict[str, Any]:
+        """What the settings file holds."""
+        return dict(self.table)
+
+
 @dataclass(frozen=True, eq=False)
 class PlantProblem:
     """What candidates are judged by.
 
     Attributes:
-        model: what the controller computes with.
+        controller: its name.
+        entry: how it is made.
+        space: what is searched of its settings.
+        model: what it computes with.
         members: the robots.
         tasks: what they do.
         weights: of the cost's terms.
         limits: hard ones.
         noise: standard deviation of measured positions [rad or m].
         seed: of that noise.
-        placed: the gains that factors are of, see ``controllers.placement.Placed.searched``.
         driven: (nj,) joints on which an actuator acts.
-        span: (na,) range of each command, of one without limits what the placed gains use of it.
+        span: (na,) range of each command, of one without limits what the first candidate uses of it.
         control_dt: time between two commands [s].
+        margin: whether the second robot is also tried with the limits' further dead time.
+        starts: of each robot where its runs begin; found when they are needed where there are none.
     """
 
+    controller: str
+    entry: ControllerEntry
+    space: SearchSpace
     model: Model
     members: Sequence[Model]
     tasks: Sequence[PlantTask]
@@ -114,44 +107,78 @@ class PlantProblem:
     limits: Limits
     noise: float
     seed: int
-    placed: PidSettings
     driven: NDArray[np.bool_]
     span: Array
     control_dt: float
+    margin: bool = False
+    starts: Sequence[Sequence[Start]] = ()
 
-    def settings(self, values: Array) -> PidSettings:
-        """Gains of factors (4,) on k_p, k_i, k_d and the derivative's time constant, to six digits."""
-        factors = [float(f"{value:.6g}") for value in values]
-        gains = {}
-        for joint, own in self.placed.gains.items():
-            numbers = zip((own.kp, own.ki, own.kd), factors, strict=False)
-            gains[joint] = PidGains(*(float(f"{gain * factor:.6g}") for gain, factor in numbers))
-        time = float(f"{self.placed.derivative_time * factors[3]:.6g}")
-        return replace(self.placed, gains=gains, derivative_time=time)
+    def candidate(self, values: Array) -> Candidate:
+        """Of a vector of the searched numbers, to six digits."""
+        named = {name: float(f"{v:.6g}") for name, v in zip(self.space.ranges, values.tolist(), strict=True)}
+        return Candidate(named, self.space.settings(named))
 
-    def driven_by(self, settings: PidSettings, member: int, task: int) -> Run:
-        """One run; it ends early where it diverges."""
-        own, robot = self.tasks[task], self.members[member]
-        plant = MujocoPlant(robot, nominal=self.model, noise=self.noise)
-        scenario = own.scenario
+    @property
+    def first(self) -> Candidate:
+        """Where the search begins."""
+        return self.candidate(np.array([own.start for own in self.space.ranges.values()]))
+
+    def made(self, candidate: Candidate) -> Controller:
+        """A controller with a candidate's settings.
+
+        Raises:
+            ConfigError: where they do not fit together.
+        """
+        settings, where = candidate.table, f"controller {self.controller}"
+        return self.entry.made(ControllerRequest(settings, None, self.model.robot, where, True, in_time=False))
+
+    def begun(self, member: Model) -> list[Start]:
+        """Where a robot's runs begin; the pose at which it rests there takes as long to find as a run."""
+        found = []
+        for start in (task.scenario.start for task in self.tasks):
+            if start.position is None and start.command is not None:
+                plant = self.plant(member)
+                plant.reset(start)
+                start = replace(start, position=plant.position)
+            found.append(start)
+        return found
+
+    def plant(self, member: Model) -> MujocoPlant:
+        """One robot, of which the controller knows the model in the middle."""
+        return MujocoPlant(member, nominal=self.model, noise=self.noise)
+
+    def driven_by(self, candidate: Candidate, member: Model, task: PlantTask, start: Start | None = None) -> Run:
+        """One run; it ends early where it diverges.
+
+        Args:
+            candidate: which controller.
+            member: which robot.
+            task: what it does.
+            start: in place of the scenario's.
+        """
+        scenario = task.scenario
         try:
             return run(
-                plant, PidController(settings), scenario.reference, own.duration, start=scenario.start, seed=self.seed
-            )
+                self.plant(member), self.made(candidate), scenario.reference, task.duration,
+                start=start or scenario.start, seed=self.seed,
+            )  # fmt: skip
         except SimulationDiverged as error:
             return error.run  # type: ignore[no-any-return]
 
-    def outcome(self, settings: PidSettings, member: int, task: int) -> Outcome:
-        """What a run is worth."""
-        own, done = self.tasks[task], self.driven_by(settings, member, task)
+    def outcome(self, candidate: Candidate, member: Model, task: PlantTask, start: Start | None = None) -> Outcome:
+        """What a run is worth; one whose controller gives up is worth nothing."""
+        try:
+            done = self.driven_by(candidate, member, task, start)
+        except (ControllerError, ConfigError):
+            return LOST
         dt = done.spec.control_dt
-        if len(done.time) < round(own.duration / dt) or done.truth is None:
-            return Outcome(np.full(len(TERMS), math.inf), 1.0, math.inf, True)
+        if len(done.time) < round(task.duration / dt) or done.truth is None:
+            return LOST
         scale = np.array([math.radians(reading(unit).factor) for unit in done.spec.joint_units])[self.driven]
         error = scale * (done.truth - done.reference)[:, self.driven]
         overshoot, settling, offset, restless = 0.0, 0.0, 0.0, 0.0
-        if own.scenario.step_at is not None:
-            begins = round(own.scenario.step_at / dt)
+        if task.scenario.step_at is not None:
+            begins = round(task.scenario.step_at / dt)
             after, wanted = error[begins:], done.reference[:, self.driven]
             way = scale * (wanted[-1] - (wanted[begins - 1] if begins else done.truth[0, self.driven]))
             size = np.maximum(np.abs(way), BAND)
@@ -168,31 +195,67 @@ class PlantProblem:
         terms = np.array([math.sqrt(float((error**2).mean())), max(overshoot, 0.0), settling, offset, effort, chatter])
         return Outcome(terms, float(done.clipped.mean()), restless, False)
 
-    def moduli(self, settings: PidSettings, member: int) -> tuple[float, float]:
-        """Largest eigenvalue of a robot's linearised sampled loops, as they are and with all gains raised."""
-        known, robot = Dynamics(self.model), self.members[member]
-        own, valve = Dynamics(robot), valves_of(robot)
-        late = sensor_settings(robot.effects, robot.robot.joint_names)[:, SENSOR_DELAY]
-        loops = [
-            Loop(pose, own.linear(pose), self.driven, known, valve, self.control_dt, late) for pose in self.poses()
-        ]
-        both = [max(loop.growth(settings, f)[0] for loop in loops) for f in (1.0, self.limits.gain_margin)]
-        return both[0], both[1]
+    def moduli(self, candidate: Candidate, member: Model) -> tuple[float, float]:
+        """Largest eigenvalue of a robot's linearised loops, as they are and with all gains raised; 0 of none."""
+        growth = self.space.growth
+        if growth is None:
+            return 0.0, 0.0
+        own, raised = growth(candidate.table, member, self.poses(), (1.0, self.limits.gain_margin))
+        return float(own), float(raised)
 
-    def member_outcome(self, settings: PidSettings, member: int) -> LegOutcome:
-        """One candidate on one robot."""
-        runs = [self.outcome(settings, member, task) for task in range(len(self.tasks))]
-        calm = not any(own.diverged or own.restless > BAND for own in runs)
-        return LegOutcome(runs, *(self.moduli(settings, member) if calm else (math.nan, math.nan)))
+    def member_outcomes(self, candidates: Sequence[Candidate], number: int) -> list[LegOutcome]:
+        """Candidates on one robot of the ensemble."""
+        member = self.members[number]
+        starts = self.starts[number] if self.starts else self.begun(member)
+        pairs = list(zip(self.tasks, starts, strict=True))
+        found = []
+        for candidate in candidates:
+            runs = [self.outcome(candidate, member, task, start) for task, start in pairs]
+            calm = not any(own.diverged or own.restless > BAND for own in runs)
+            if calm and self.margin and number == HARDEST:
+                slower = later(member, self.limits.delay_margin)
+                more = [self.outcome(candidate, slower, task, start) for task, start in pairs]
+                runs = [
+                    LOST if other.diverged else replace(own, restless=max(own.restless, other.restless))
+                    for own, other in zip(runs, more, strict=True)
+                ]
+                calm = not any(own.diverged or own.restless > BAND for own in runs)
+            found.append(LegOutcome(runs, *(self.moduli(candidate, member) if calm else (math.nan, math.nan))))
+        return found
 
     def judge(self, outcomes: Sequence[LegOutcome]) -> Evaluation:
         """See ``tuning.objective.judged``; what joints without actuator do may die away as slowly as it does."""
         limits = self.limits if self.driven.all() else replace(self.limits, modulus=JUST_STABLE)
         return judged(outcomes, [task.weight for task in self.tasks], self.weights, limits)
 
-    def evaluation(self, settings: PidSettings) -> Evaluation:
-        """Of one candidate on all robots."""
-        return self.judge([self.member_outcome(settings, k) for k in range(len(self.members))])
+    def evaluations(self, candidates: Sequence[Candidate], pool: computer.Workers) -> Iterator[Evaluation]:
+        """Of candidates on all robots, in their order, as they are known.
+
+        One that does not come to rest on the robot that is latest is not tried on the others.
+        """
+        hardest = min(HARDEST, len(self.members) - 1)
+        rest = [k for k in range(len(self.members)) if k != hardest]
+        size = AHEAD * pool.count
+        for begin in range(0, len(candidates), size):
+            part = candidates[begin : begin + size]
+            first = [legs[0] for legs in self._shared(pool, [([own], hardest) for own in part])]
+            calm = [k for k, leg in enumerate(first) if leg.calm]
+            others = iter(self._shared(pool, [([part[k]], member) for k in calm for member in rest]))
+            for leg in first:
+                legs = [next(others)[0] for _ in rest] if leg.calm else []
+                legs.insert(hardest, leg)
+                yield self.judge(legs)
+
+    def on_each(self, candidates: Sequence[Candidate], pool: computer.Workers) -> list[list[Evaluation]]:
+        """Of each candidate what it is worth on each robot alone."""
+        legs = self._shared(pool, [(candidates, number) for number in range(len(self.members))])
+        return [[self.judge([own[k]]) for own in legs] for k in range(len(candidates))]
+
+    def _shared(
+        self, pool: computer.Workers, tasks: Sequence[tuple[Sequence[Candidate], int]]
+    ) -> list[list[LegOutcome]]:
+        found = dict(pool.each(PlantProblem.member_outcomes, [(self, *task) for task in tasks]))
+        return [found[k] for k in range(len(tasks))]
 
     def poses(self) -> list[Array]:
         """Where loops are linearised: at the start, at the end and half way of each reference."""
@@ -203,37 +266,80 @@ class PlantProblem:
         return list({pose.tobytes(): pose for pose in found}.values())
 
 
-def make_plant_problem(study: Study, model: Model, scenarios: Sequence[Scenario]) -> PlantProblem:
+HARDEST = 1
+"""Number of the robot of an ensemble that is hardest to keep stable."""
+LOST = Outcome(np.full(len(TERMS), math.inf), 1.0, math.inf, True)
+"""Of a run that came to nothing."""
+
+
+def make_plant_problem(
+    study: PlantStudy, model: Model, scenarios: Sequence[Scenario], controller: str = "pid", where: str = "study"
+) -> PlantProblem:
     """The problem of a study.
 
+    Args:
+        study: what to look for.
+        model: the centre of the ensemble, and what the controller computes with.
+        scenarios: one for each of the study's objectives, in their order.
+        controller: by its name.
+        where: the study's file, for messages.
+
     Raises:
-        ControllerError: where no gains that are placed keep the robot where it is.
-        NotAvailable: where no equations hold the robot.
+        ControllerError: for a controller that declares no search space, or that cannot drive the robot.
+        ConfigError: where the study says what does not fit the space.
     """
-    plant, dynamics = MujocoPlant(model), Dynamics(model)
+    entry, search = tunable(controller)
+    if missing := entry.lacks(model.robot):
+        raise ControllerError(f"{controller} computes with {missing}")
+    plant = MujocoPlant(model)
     first = np.array(plant.reset(scenarios[0].start).position)
-    placed = placed_gains(dynamics, plant.spec, first).searched
-    driven = np.any(dynamics.authority(first, np.zeros_like(first))[0] != 0, axis=1)
+    try:
+        space = space_of(search, plant.spec, first).narrowed(study.search, study.settings)
+    except ConfigError as error:
+        raise ConfigError(f"{where}: {error}") from None
     tasks = [
         PlantTask(scenario, objective.weight, objective.duration or scenario.duration)
         for scenario, objective in zip(scenarios, study.objectives, strict=True)
     ]
     low, high = plant.spec.command_low, plant.spec.command_high
-    span = np.where(np.isfinite(high - low), high - low, 1.0)
+    bounded = np.isfinite(high - low)
+    span = np.where(bounded, high - low, 1.0)
     members = make_members(model, study.ensemble, study.ensemble.members, study.seed)
     problem = PlantProblem(
-        model, members, tasks, study.weights, study.limits, study.ensemble.noise, study.seed, placed, driven, span,
-        plant.spec.control_dt,
+        controller, entry, space, model, members, tasks, study.weights, study.limits, study.ensemble.noise, study.seed,
+        _driven(model, first), span, plant.spec.control_dt, space.growth is None and study.limits.delay_margin > 0,
     )  # fmt: skip
-    used = np.vstack([problem.driven_by(placed, 0, k).command for k in range(len(tasks))])
-    own = np.where(np.isfinite(high - low), span, np.maximum(np.ptp(used, axis=0), 1e-9))
-    return replace(problem, span=own)
+    # What fails at once fails here, in a sentence.
+    brief = replace(tasks[0], duration=min(tasks[0].duration, TRIED * problem.control_dt))
+    problem.driven_by(problem.first, model, brief)
+    problem = replace(problem, starts=[problem.begun(member) for member in members])
+    if bounded.all():
+        return problem
+    used = np.vstack([problem.driven_by(problem.first, members[0], task).command for task in tasks])
+    return replace(problem, span=np.where(bounded, span, np.maximum(np.ptp(used, axis=0), 1e-9)))
 
 
-def study_key(study: Study, problem: PlantProblem) -> str:
+def _driven(model: Model, pose: Array) -> NDArray[np.bool_]:
+    """(nj,) joints on which an actuator acts; all where no equations tell."""
+    try:
+        return np.asarray(np.any(Dynamics(model).authority(pose, np.zeros_like(pose))[0] != 0, axis=1))
+    except NotAvailable:
+        return np.ones(len(pose), dtype=bool)
+
+
+def study_key(study: PlantStudy, problem: PlantProblem) -> str:
     """A fingerprint of everything an evaluation depends on, see ``autotune.study_key``."""
-    model = problem.model
-    digest = hashlib.sha256(json.dumps([asdict(study), model_to_dict(model), versions()], sort_keys=True).encode())
+    model, space = problem.model, problem.space
+    told = [
+        asdict(study),
+        model_to_dict(model),
+        versions(),
+        problem.controller,
+        source(type(problem.made(problem.first))),
+    ]
+    ranges = {name: asdict(own) for name, own in space.ranges.items()}
+    text = json.dumps([*told, ranges, problem.first.to_dict()], sort_keys=True)
+    digest = hashlib.sha256(text.encode())
     digest.update(model.robot.fingerprint.encode())
     for task in problem.tasks:
         times = np.arange(0.0, task.duration, problem.control_dt).tolist()
@@ -243,17 +349,34 @@ def study_key(study: Study, problem: PlantProblem) -> str:
 
 
 class PlantTuning(TuningResult):
-    """What a study found of a robot on its plant, beginning with the placed gains."""
+    """What a study found of a robot on its plant, beginning with the settings that nobody has tuned."""
 
-    schema, robots = "equimus-ctrl/plant-tuning-record/1", "robots"
+    schema, robots, noun, member = "equimus-ctrl/plant-tuning-record/2", "robots", "candidates", "robot"
+
+    @property
+    def heading(self) -> str:
+        """What the settings file begins with."""
+        return f"Settings of {self.problem.controller}"
+
+    def found(self) -> tuple[str, tuple[str, ...], list[tuple[Any, ...]]]:
+        """What was found as a table for people, see ``TuningResult``."""
+        rows = [(name, first, self.settings.values[name]) for name, first in self.start.values.items()]
+        return self.heading, ("setting", "first", "tuned"), rows
+
+    def record(self) -> dict[str, Any]:
+        """Everything worth keeping, in plain types."""
+        searched = {"first": dict(self.start.values), "tuned": dict(self.settings.values)}
+        return {**super().record(), "controller": self.problem.controller, "searched": searched}
 
 
 def tune_on_plant(
-    study: Study,
+    study: PlantStudy,
     problem: PlantProblem,
     journal: Journal,
     notify: Callable[[Trial], None] = lambda trial: None,
     workers: int | None = None,
+    budget: float | None = None,
+    prepare: Callable[[], object] | None = None,
 ) -> PlantTuning:
     """Search, then try the result on robots that took no part.
 
@@ -265,33 +388,29 @@ def tune_on_plant(
         journal: where evaluations are kept and found again.
         notify: called after each candidate.
         workers: processes; all cores by default.
+        budget: longest time of the search [s]; none by default.
+        prepare: called first in every process.
 
     Raises:
         NothingFeasible: where no candidate was stable and within the limits on every robot.
     """
-    ranges = [study.search[key] for key in (*GAINS, "derivative_time")]
-    search = Search.over(ranges, study, journal, notify)
+    search = Search.of(list(problem.space.ranges.values()), study, journal, notify)
+    search.over = time_is_up(budget)
     on_unseen, start_unseen = list[Evaluation](), list[Evaluation]()
-    with computer.workers(workers) as pool:
-
-        def evaluate(tasks: Sequence[tuple[PlantProblem, PidSettings]]) -> Iterator[Evaluation]:
-            found = dict(pool.each(PlantProblem.evaluation, tasks))
-            return (found[k] for k in range(len(tasks)))
-
-        search.evaluate = lambda batch: evaluate([(problem, problem.settings(values)) for values in batch])
+    with computer.workers(workers, prepare=prepare) as pool:
+        search.evaluate = lambda batch: problem.evaluations([problem.candidate(values) for values in batch], pool)
         interrupted = search.interrupted()
-        best = best_feasible(search.history)
-        settings, first = problem.settings(np.array(best.values)), problem.settings(search.start)
+        best = best_feasible(search.history, noun=PlantTuning.noun, member=PlantTuning.member)
+        settings, first = problem.candidate(np.array(best.values)), problem.first
         try:
-            others = make_members(
-                problem.model, study.ensemble, study.ensemble.unseen, study.seed + 1_000_003, fixed=False
+            seed = study.seed + UNSEEN
+            others = make_members(problem.model, study.ensemble, study.ensemble.unseen, seed, fixed=False)
+            on_unseen, start_unseen = replace(problem, members=others, starts=(), margin=False).on_each(
+                [settings, first], pool
             )
-            each = [replace(problem, members=[other]) for other in others]
-            on_unseen = list(evaluate([(own, settings) for own in each]))
-            start_unseen = list(evaluate([(own, first) for own in each]))
         except KeyboardInterrupt:
             interrupted = True
     return PlantTuning(
         study, problem, search.history, best, settings, first, search.history[0].evaluation, on_unseen, start_unseen,
-        interrupted,
+        interrupted, timed_out=search.timed_out,
     )  # fmt: skip

@@ -9,17 +9,22 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, Protocol
 
 import cmaes
 import numpy as np
+from numpy.typing import NDArray
 from scipy.optimize import minimize
 
+from equimus_ctrl.controllers.search_space import Range
 from equimus_ctrl.models.spread import latin_hypercube
 from equimus_ctrl.tuning.objective import Evaluation
-from equimus_ctrl.tuning.study import Range, Study
+from equimus_ctrl.tuning.study import AnyStudy
 from equimus_ctrl.types import Array
+
+GENERATIONS = 5
+"""Of CMA-ES that a budget is to last for, where populations need not be smaller than usual for that."""
 
 
 class Journal(Protocol):
@@ -77,6 +82,8 @@ class Search:
         notify: called after each candidate.
         history: what was tried.
         restarts: how often CMA-ES has begun.
+        linear: (n,) which values lie on a linear scale, the others on logarithmic ones; none by default.
+        over: whether the time is up.
     """
 
     low: Array
@@ -90,13 +97,23 @@ class Search:
     notify: Callable[[Trial], None]
     history: list[Trial]
     restarts: int = 0
+    linear: NDArray[np.bool_] = field(default_factory=lambda: np.zeros(0, dtype=bool))
+    over: Callable[[], bool] = lambda: False
+    timed_out: bool = False
+
+    def __post_init__(self) -> None:
+        if not len(self.linear):
+            self.linear = np.zeros(len(self.low), dtype=bool)
 
     @classmethod
-    def over(cls, ranges: Sequence[Range], study: Study, journal: Journal, notify: Callable[[Trial], None]) -> Search:
+    def of(cls, ranges: Sequence[Range], study: AnyStudy, journal: Journal, notify: Callable[[Trial], None]) -> Search:
         """The search of a study, over the ranges of its values; ``evaluate`` is set before it runs."""
         low, high, start = (np.array([getattr(own, key) for own in ranges]) for key in ("low", "high", "start"))
         budget, polish, seed = study.candidates, study.polish, study.seed
-        return cls(low, high, start, budget, polish, seed, lambda batch: iter(()), journal, notify, [])
+        linear = np.array([own.scale == "linear" for own in ranges])
+        return cls(
+            low, high, start, budget, polish, seed, lambda batch: iter(()), journal, notify, [], linear=linear
+        )  # fmt: skip
 
     def interrupted(self) -> bool:
         """Run, and say whether a KeyboardInterrupt ended that, which is raised where nothing is known yet."""
@@ -126,13 +143,18 @@ class Search:
         return round(self.polish * self.budget)
 
     def _values(self, unit: Array) -> Array:
-        """Gains of a point of the unit cube, on logarithmic scales."""
+        """Values of a point of the unit cube, each on its scale."""
         share = np.clip(unit, 0.0, 1.0)
-        return np.asarray(np.exp(np.log(self.low) + share * (np.log(self.high) - np.log(self.low))))
+        low, high = self._scaled(self.low), self._scaled(self.high)
+        found = low + share * (high - low)
+        return np.where(self.linear, found, np.exp(np.where(self.linear, 0.0, found)))
 
     def _unit(self, values: Sequence[float]) -> Array:
-        span = np.log(self.high) - np.log(self.low)
-        return np.asarray((np.log(values) - np.log(self.low)) / span)
+        low, high = self._scaled(self.low), self._scaled(self.high)
+        return np.asarray((self._scaled(np.array(values)) - low) / (high - low))
+
+    def _scaled(self, values: Array) -> Array:
+        return np.where(self.linear, values, np.log(np.where(self.linear, 1.0, values)))
 
     def _try(self, stage: str, units: Sequence[Array]) -> list[float]:
         """Costs of points of the unit cube, from the journal where it has them."""
@@ -148,6 +170,9 @@ class Search:
             trial = Trial(first + k, stage, tuple(values.tolist()), evaluation, answer is not None)
             self.history.append(trial)
             self.notify(trial)
+            if answer is None and self.over():
+                self.timed_out = True
+                raise _BudgetSpent
         if len(batch) < len(units):
             raise _BudgetSpent
         return [trial.evaluation.cost for trial in self.history[first:]]
@@ -165,12 +190,18 @@ class Search:
         n = len(self.low)
         restarts = self.restarts
         self.restarts += 1
+        if n == 1:  # one number has no covariances: its range is covered ever more densely
+            count = 2 ** (2 + restarts)
+            room = self.budget - self._polish_budget() - len(self.history)
+            self._try("spread", [np.array([(k + 0.5) / count]) for k in range(count)][:room])
+            return
+        usual = 4 + int(3 * math.log(n))  # Hansen's (2016); twice as many go well side by side where there is time
         optimiser = cmaes.CMA(
             mean=self._unit(self.best().values),
             sigma=0.15 if restarts == 0 else 0.3,
             bounds=np.stack([np.zeros(n), np.ones(n)], axis=1),
             seed=self.seed + restarts,
-            population_size=2 * (4 + int(3 * math.log(n))),
+            population_size=min(2 * usual, max(usual, self.budget // GENERATIONS)),
         )
         while not optimiser.should_stop():
             if len(self.history) >= self.budget - self._polish_budget():

@@ -8,12 +8,13 @@ from dataclasses import MISSING, asdict, dataclass, field, fields
 from typing import Any, get_args, get_type_hints
 
 from equimus_ctrl.controllers.pid_settings import PidGains, PidSettings, Space
+from equimus_ctrl.controllers.search_space import Narrowing, Range
 from equimus_ctrl.errors import ConfigError, unknown_name
 from equimus_ctrl.types import Array
 
 FORMAT, ON_PLANT = "equimus-ctrl/tuning/1", "equimus-ctrl/plant-tuning/1"
-"""Of studies of gains of robots with elastic actuators on the compiled loop, and of factors on placed gains of any
-robot on its plant (``tuning.plant_tuning``)."""
+"""Of studies of a PID's gains on the compiled loop of robots with elastic actuators, and of what any controller
+declares on the plant of any robot (``tuning.plant_tuning``)."""
 SHORTEST = 0.1
 """An objective runs at least this long [s]; there is nothing to judge in less."""
 
@@ -80,18 +81,22 @@ class Limits:
         saturation: share of the time at a pressure limit.
         modulus: of the largest eigenvalue of the linearised sampled loop, below 1.
         gain_margin: factor by which all gains together may rise before a linearised loop is unstable, 1 or more.
+        delay_margin: further dead time with which the robot that is latest must still come to rest, of controllers that
+            have no linearised loop [s].
     """
 
     overshoot: float = 0.25
     saturation: float = 0.5
     modulus: float = 0.998
     gain_margin: float = 1.6
+    delay_margin: float = 0.0
 
     def __post_init__(self) -> None:
         _check("limits", "overshoot", self.overshoot, 0.0)
         _check("limits", "saturation", self.saturation, 0.0, 1.0)
         _check("limits", "modulus", self.modulus, 0.0, 1.0)
         _check("limits", "gain_margin", self.gain_margin, 1.0, 100.0)
+        _check("limits", "delay_margin", self.delay_margin, 0.0, 2.0)
 
 
 @dataclass(frozen=True)
@@ -137,51 +142,24 @@ class EnsembleSettings:
             _check("ensemble", key, high, low, 2.0)
 
 
-@dataclass(frozen=True)
-class Range:
-    """Where a gain is looked for, on a logarithmic scale.
-
-    Attributes:
-        low: least.
-        high: most.
-        start: where the search begins.
-    """
-
-    low: float
-    high: float
-    start: float
-
-    def __post_init__(self) -> None:
-        if not 0 < self.low <= self.start <= self.high < math.inf or self.low == self.high:
-            raise ConfigError(
-                f"low {self.low:g}, start {self.start:g}, high {self.high:g}; expected 0 < low ≤ start ≤ high"
-            )
-
-
 GAINS = ("kp", "ki", "kd")
 
 
-@dataclass(frozen=True)
-class Study:
-    """A tuning study.
+@dataclass(frozen=True, kw_only=True)
+class AnyStudy:
+    """What studies have in common.
 
     Attributes:
-        objectives: scenarios the gains must do well in.
-        search: kp, ki, kd (each for every channel) and derivative_time → range.
-        space: of the PID.
-        inverse: of the PID: whether it is given the inverse of the model, effects included.
+        objectives: scenarios a controller must do well in.
         seed: of the search, the ensemble and the noise.
-        candidates: sets of gains tried in all.
+        candidates: sets of numbers tried in all.
         polish: share of them spent on the local search.
         weights: of the cost's terms.
         limits: hard ones.
-        ensemble: the legs.
+        ensemble: the robots.
     """
 
     objectives: tuple[Objective, ...]
-    search: Mapping[str, Range]
-    space: Space = "length"
-    inverse: bool = False
     seed: int = 1
     candidates: int = 320
     polish: float = 0.25
@@ -190,11 +168,45 @@ class Study:
     ensemble: EnsembleSettings = field(default_factory=EnsembleSettings)
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "search", dict(self.search))
         if not self.objectives:
             raise ConfigError("a study needs at least one [[objectives]] table")
         if not sum(o.weight for o in self.objectives) > 0:
             raise ConfigError("a study needs an objective with a weight above 0")
+        _check("study", "candidates", self.candidates, 1)
+        _check("study", "polish", self.polish, 0.0, 0.9)
+        _check("study", "seed", self.seed, 0)
+
+
+@dataclass(frozen=True, kw_only=True)
+class PlantStudy(AnyStudy):
+    """A study of any controller on the plant of any robot.
+
+    Attributes:
+        search: narrower ranges of what the controller declares.
+        settings: of the controller beside those, as its settings file has them; what stands here is not searched.
+    """
+
+    search: Mapping[str, Narrowing] = field(default_factory=dict)
+    settings: Mapping[str, Any] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Study(AnyStudy):
+    """A study of a PID's gains on the compiled loop.
+
+    Attributes:
+        search: kp, ki, kd (each for every channel) and derivative_time → range.
+        space: of the PID.
+        inverse: of the PID: whether it is given the inverse of the model, effects included.
+    """
+
+    search: Mapping[str, Range]
+    space: Space = "length"
+    inverse: bool = False
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "search", dict(self.search))
+        super().__post_init__()
         for key in (*GAINS, "derivative_time"):
             if key not in self.search:
                 raise ConfigError(f"search: [search.{key}] is missing")
@@ -203,9 +215,6 @@ class Study:
                 raise ConfigError(unknown_name("gain", key, (*GAINS, "derivative_time"), "search"))
         if self.space not in get_args(Space):
             raise ConfigError(unknown_name("PID space", str(self.space), get_args(Space), "study"))
-        _check("study", "candidates", self.candidates, 1)
-        _check("study", "polish", self.polish, 0.0, 0.9)
-        _check("study", "seed", self.seed, 0)
 
     def ranges(self, channels: tuple[str, ...]) -> list[tuple[str, Range]]:
         """(label, range) of every searched number, in the order of a candidate's vector."""
@@ -236,19 +245,23 @@ def suits(data: Mapping[str, Any], joints: tuple[str, ...], where: str = "study"
     return tuple(named) == joints
 
 
-def study_from_dict(data: Mapping[str, Any], where: str = "study") -> Study:
+def study_from_dict(data: Mapping[str, Any], where: str = "study") -> Study | PlantStudy:
     """A study from what its TOML file holds.
 
     Raises:
         ConfigError: for an unknown or missing key or a value that cannot be, in a sentence that names the file.
     """
     table = dict(data)
-    if table.pop("format", FORMAT) not in (FORMAT, ON_PLANT):
-        raise ConfigError(f"{where}: format is {data['format']!r}, expected {FORMAT!r} or {ON_PLANT!r}")
+    form = table.pop("format", FORMAT)
+    if form not in (FORMAT, ON_PLANT):
+        raise ConfigError(f"{where}: format is {form!r}, expected {FORMAT!r} or {ON_PLANT!r}")
+    on_plant = form == ON_PLANT
     suits(data, (), where)
     table.pop("joints", None)
     parts: dict[str, Any] = {"weights": Weights, "limits": Limits, "ensemble": EnsembleSettings}
     try:
+        if on_plant and isinstance(table.get("ensemble"), Mapping):
+            table["ensemble"] = {"lag": [0.0, 0.0], **table["ensemble"]}  # valves alone are slow unless told
         for key, cls in parts.items():
             if key in table:
                 table[key] = _from_table(cls, table[key], key)
@@ -256,22 +269,33 @@ def study_from_dict(data: Mapping[str, Any], where: str = "study") -> Study:
         if not isinstance(objectives, list):
             raise ConfigError("objectives: expected [[objectives]] tables")
         table["objectives"] = tuple(_from_table(Objective, item, "objectives") for item in objectives)
-        search = table.get("search", {})
+        search, own = table.get("search", {}), "setting" if on_plant else "gain"
         if not isinstance(search, Mapping):
-            raise ConfigError("search: expected [search.<gain>] tables")
-        table["search"] = {key: _range(key, item) for key, item in search.items()}
-        study: Study = _from_table(Study, table, "study")
+            raise ConfigError(f"search: expected [search.<{own}>] tables")
+        found = _named(search) if on_plant else search
+        table["search"] = {key: _range(Narrowing if on_plant else Range, key, item) for key, item in found.items()}
+        if not isinstance(table.get("settings", {}), Mapping):
+            raise ConfigError(f"settings is {table['settings']!r}, expected a table")
+        study: Study | PlantStudy = _from_table(PlantStudy if on_plant else Study, table, "study")
         return study
     except ConfigError as error:
         raise ConfigError(f"{where}: {error}") from None
 
 
-def _range(key: str, table: Any) -> Range:
+def _named(search: Mapping[str, Any], before: str = "") -> dict[str, Any]:
+    """Dotted name → range, of tables within tables."""
+    found: dict[str, Any] = {}
+    for key, value in search.items():
+        deeper = isinstance(value, Mapping) and value and all(isinstance(item, Mapping) for item in value.values())
+        found |= _named(value, f"{before}{key}.") if deeper else {before + key: value}
+    return found
+
+
+def _range(kind: type[Range | Narrowing], key: str, table: Any) -> Any:
     try:
-        found: Range = _from_table(Range, table, f"search.{key}")
+        return _from_table(kind, table, f"search.{key}")
     except ConfigError as error:
         raise ConfigError(str(error) if str(error).startswith("search.") else f"search.{key}: {error}") from None
-    return found
 
 
 def _is_number(value: object) -> bool:
@@ -288,6 +312,8 @@ def _from_table(cls: Any, table: Any, where: str) -> Any:
         if key not in known:
             raise ConfigError(unknown_name("key", key, known, where))
         hint = hints[key]
+        if hint == float | None:
+            hint = float
         if hint in (float, int):
             kinds = (int, float) if hint is float else int
             if isinstance(value, bool) or not isinstance(value, kinds):

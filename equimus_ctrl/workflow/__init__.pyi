@@ -33,13 +33,11 @@ from .plugins import load_plugins as load_plugins
 from .prove import Proof as Proof, put_to_proof as put_to_proof
 from .runs import (
     ScenarioRun as ScenarioRun,
-    TunedPid as TunedPid,
     load_controller as load_controller,
     load_scenario as load_scenario,
     recordings_of as recordings_of,
     run_scenario as run_scenario,
     scenario_entries as scenario_entries,
-    tune_pid as tune_pid,
 )
 from .scores import (
     RecordingsScore as RecordingsScore,
@@ -47,3 +45,4 @@ from .scores import (
     gather as gather,
     score_recordings as score_recordings,
 )
+from .tuning import Tuned as Tuned, autotune as autotune, tune_pid as tune_pid

@@ -66,6 +66,11 @@ def load_plugins(files: Iterable[Path | str]) -> tuple[str, ...]:
     return tuple(dict.fromkeys(names))
 
 
+def loaded() -> list[Path]:
+    """The files that are loaded, for another process to load too."""
+    return list(_loaded)
+
+
 def plugins_digest(files: Iterable[Path | str]) -> str | None:
     """SHA-256 of what files hold, in their order; None of no files."""
     texts = [presets.read_bytes(Path(file)) for file in files]

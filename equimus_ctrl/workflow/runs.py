@@ -1,10 +1,10 @@
-"""Scenarios and controllers by name, runs and tuning."""
+"""Scenarios and controllers by name, and runs."""
 
 from __future__ import annotations
 
 import inspect
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +15,6 @@ from equimus_ctrl.effects.base import Effect
 from equimus_ctrl.errors import ConfigError, SimulationDiverged
 from equimus_ctrl.models.kinematics import Kinematics
 from equimus_ctrl.models.model import Model, nominal_model
-from equimus_ctrl.options import AutotuneOptions, with_changes
 from equimus_ctrl.plants.hardware.settings import HardwareSettings
 from equimus_ctrl.plants.mujoco_plant import check_nominal
 from equimus_ctrl.plants.registry import PLANTS, PlantRequest, make_plant
@@ -27,9 +26,6 @@ from equimus_ctrl.scenarios.scenario import Scenario, ScenarioContext
 from equimus_ctrl.scenarios.scoring import Score, score_run
 from equimus_ctrl.simulate import run
 from equimus_ctrl.types import Controller, Counts, CountsInstants, Ends, Plant, Recording, Run
-
-STUDIES = ("pid.toml", "pid_any.toml")
-"""Of the PID's tuning: the first that suits a robot."""
 
 
 def recordings_of(folder: Path | None = None) -> Callable[[str], tuple[Recording, ...]]:
@@ -238,120 +234,7 @@ def run_scenario(
     return ScenarioRun(scenario, label, outcome, score_run(outcome, scenario), model, plant_name, counts)
 
 
-@dataclass(frozen=True, eq=False)
-class TunedPid:
-    """A finished tuning and where its results are.
-
-    Attributes:
-        result: what was found.
-        settings: the settings file.
-        record: the JSON record.
-        folder: of the record, the journal and the figures.
-        reused: how many evaluations an earlier, interrupted run had already made.
-    """
-
-    result: Any
-    settings: Path
-    record: Path
-    folder: Path
-    reused: int
-
-
-def tune_pid(
-    study: Path | None = None,
-    model: Model | None = None,
-    options: AutotuneOptions | None = None,
-    *,
-    begin: Callable[[int], None] = lambda total: None,
-    notify: Callable[[Any], None] = lambda trial: None,
-    **changes: Any,
-) -> TunedPid:
-    """Tune the PID of a study and write its settings and record; started again, it goes on where it was stopped.
-
-    Args:
-        study: a study file; by default ``tuning/pid.toml`` for the leg, ``tuning/pid_any.toml`` for other robots.
-        model: the centre of the ensemble; the nominal leg by default.
-        options: see ``AutotuneOptions``.
-        begin: called with the number of candidates before the first.
-        notify: called after each candidate.
-        **changes: of the options, one by one.
-
-    Raises:
-        EquimusError: where an input is wrong, or nothing within the limits was found; nothing is written then.
-    """
-    from equimus_ctrl.tuning import autotune, journal, plant_tuning
-    from equimus_ctrl.tuning.study import ON_PLANT, Objective, study_from_dict
-
-    options, model = with_changes(AutotuneOptions, options, changes), model or nominal_model()
-    path = study or _study_for(model)
-    table = presets.read_toml(path)
-    settings = study_from_dict(table, str(path))
-    on_plant = table.get("format") == ON_PLANT
-    own: dict[str, Any] = {"candidates": options.candidates, "seed": options.seed}
-    if options.scenarios:
-        own["objectives"] = tuple(Objective(name) for name in options.scenarios)
-    settings = replace(settings, **{key: value for key, value in own.items() if value is not None})
-    recordings = options.recordings
-    if recordings is not None:
-        locate.find_recordings(recordings)
-    search = recordings is not None
-    built = [
-        load_scenario(o.scenario, model.robot, phase=model.phase, recordings=recordings, search=search)
-        for o in settings.objectives
-    ]
-    make = plant_tuning.make_plant_problem if on_plant else autotune.make_problem
-    problem: Any = make(settings, model, built)
-    root = presets.workspace()
-    name = own_settings("pid.toml", model.robot) if on_plant else "pid.toml"
-    target = options.output or root / "controllers" / name
-    stem = f"{path.stem}_{presets.plain_name(model.name)}" if on_plant else path.stem
-    results = options.folder or root / "tuning" / "results" / stem
-    presets.check_toml(target)
-    presets.check_folder(results)
-    key = plant_tuning.study_key(settings, problem) if on_plant else autotune.study_key(settings, problem)
-    store = presets.JsonLines(
-        results / "journal.jsonl", {"format": "equimus-ctrl/journal/1", "key": key}, options.fresh
-    )
-    reused = len(store.rows)
-    begin(settings.candidates)
-    tune: Any = plant_tuning.tune_on_plant if on_plant else autotune.autotune
-    try:
-        result = tune(settings, problem, journal.RowJournal(store), notify, options.workers)
-    finally:
-        store.close()
-    record = results / "record.json"
-    presets.write_text(record, presets.json_text(result.record()))
-    presets.write_text(target, presets.toml_text(result.settings.to_dict(), _settings_comment(result, path)))
-    return TunedPid(result, target, record, results, reused)
-
-
-def _study_for(model: Model) -> Path:
-    """The study of a robot's own, else the one for any.
-
-    Raises:
-        ConfigError: where there is none.
-    """
-    from equimus_ctrl.tuning.study import suits
-
-    found = [path for name in STUDIES if (path := presets.find("tuning", name)) is not None]
-    for path in found:
-        if suits(presets.read_toml(path), model.robot.joint_names, str(path)):
-            return path
-    raise ConfigError(f"there is no tuning/{STUDIES[-1]}; name a study with --study")
-
-
 def own_settings(file: str, robot: Robot) -> str:
     """What a settings file is called that is for one robot alone."""
     stem, dot, suffix = file.rpartition(".")
     return f"{stem}_{presets.plain_name(robot.name)}{dot}{suffix}"
-
-
-def _settings_comment(result: Any, study: Path) -> str:
-    best = result.best.evaluation
-    unit = "N and m" if result.settings.space == "length" else "N·m and rad"
-    unit = "1/s², 1/s³ and 1/s" if result.settings.decoupled else unit
-    return (
-        f"PID gains, in {unit}; written by `equimus-ctrl autotune-pid`, free to edit.\n"
-        f"Study {study.name}, seed {result.study.seed}, {len(result.history)} sets of gains tried, "
-        f"cost {best.cost:.4f} (before: {result.start_evaluation.cost:.4f})."
-    )

@@ -1,4 +1,4 @@
-"""``equimus-ctrl autotune-pid``: PID gains that work on a whole ensemble of legs."""
+"""``equimus-ctrl autotune``: settings of a controller that work on a whole ensemble of robots."""
 
 from __future__ import annotations
 
@@ -15,14 +15,17 @@ from equimus_ctrl.options import AutotuneOptions
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from equimus_ctrl.workflow import TunedPid
+    from equimus_ctrl.workflow import Tuned
+
+StudyFile = Annotated[
+    Path | None, typer.Option(help="Study file (TOML); the controller's, leg.toml or any.toml in tuning/ by default.")
+]
 
 
 @with_options
-def autotune_pid(
-    study: Annotated[
-        Path | None, typer.Option(help="Study file (TOML); tuning/pid.toml or pid_any.toml by default.")
-    ] = None,
+def autotune(
+    controller: Annotated[str, typer.Argument(help="pid, lqr, nmpc, sampling, or one of a plugin.")],
+    study: StudyFile = None,
     model: ModelFile = None,
     plugins: PluginFiles = None,
     *,
@@ -30,7 +33,32 @@ def autotune_pid(
     figures: Figures = True,
     as_json: Json = False,
 ) -> None:
-    """Tune the PID in simulation, over an ensemble of perturbed robots whose valves or drives are late.
+    """Tune a controller in simulation, over an ensemble of perturbed robots whose valves or drives are late.
+
+    Ctrl-C keeps the best so far. The same command goes on where it was stopped, even after a crash.
+
+    \b
+    [bold]Examples[/bold]
+    equimus-ctrl autotune lqr
+    equimus-ctrl autotune nmpc --budget 120 --json
+    equimus-ctrl autotune pid --model corrected.toml
+    equimus-ctrl autotune lqr --model robot.xml --candidates 20
+    equimus-ctrl autotune leaning --plugin my_plugin.py --scenario hold
+    """  # noqa: D301
+    _tune(controller, study, model, plugins, options, figures, as_json)
+
+
+@with_options
+def autotune_pid(
+    study: StudyFile = None,
+    model: ModelFile = None,
+    plugins: PluginFiles = None,
+    *,
+    options: AutotuneOptions,
+    figures: Figures = True,
+    as_json: Json = False,
+) -> None:
+    """Tune the PID: the same as autotune pid.
 
     Ctrl-C keeps the best so far. The same command goes on where it was stopped, even after a crash.
 
@@ -42,6 +70,18 @@ def autotune_pid(
     equimus-ctrl autotune-pid --model corrected.toml --json
     equimus-ctrl autotune-pid --model robot.xml --candidates 100
     """  # noqa: D301
+    _tune("pid", study, model, plugins, options, figures, as_json)
+
+
+def _tune(
+    controller: str,
+    study: Path | None,
+    model: Path | None,
+    plugins: list[Path] | None,
+    options: AutotuneOptions,
+    figures: bool,
+    as_json: bool,
+) -> None:
     from rich.progress import BarColumn, MofNCompleteColumn, TextColumn
 
     console = people()
@@ -62,9 +102,12 @@ def autotune_pid(
             if trial.evaluation.feasible:
                 lowest = min(lowest, trial.evaluation.cost)
             best = "none yet" if lowest == float("inf") else f"{lowest:.4f}"
-            progress.update(task, description=trial.stage, completed=trial.index + 1, best=best)
+            last = trial.index + 1 == progress.tasks[task].total
+            stage = "on other robots" if last else trial.stage
+            progress.update(task, description=stage, completed=trial.index + 1, best=best)
 
-        tuned = workflow.tune_pid(
+        tuned = workflow.autotune(
+            controller,
             study,
             workflow.load_model(model),
             options,
@@ -86,27 +129,48 @@ def autotune_pid(
         raise typer.Exit(130)
 
 
-def _print(console: Console, tuned: TunedPid) -> None:
-    from rich.table import Table
-
+def _print(console: Console, tuned: Tuned) -> None:
     result = tuned.result
-    best, start = result.best.evaluation, result.start_evaluation
-    if result.interrupted:
+    if result.interrupted or result.timed_out:
+        how = "stopped" if result.interrupted else "the time was up"
         console.print(
-            f"stopped after {len(result.history)} of {result.study.candidates} sets of gains: the best so far was "
+            f"{how} after {len(result.history)} of {result.study.candidates} {result.noun}: the best so far was "
             "kept; the same command goes on from here"
         )
     if tuned.reused:
         console.print(f"{tuned.reused} evaluations were taken over from an earlier run")
-    title = f"Gains ({result.settings.space})" + (", decoupled by the mass matrix" if result.settings.decoupled else "")
-    gains = Table(title=title, title_justify="left")
-    for name in ("channel", "kp", "ki", "kd"):
-        gains.add_column(name, justify="left" if name == "channel" else "right")
-    for channel, g in result.settings.gains.items():
-        gains.add_row(channel, f"{g.kp:.4g}", f"{g.ki:.4g}", f"{g.kd:.4g}")
-    console.print(gains)
+    console.print(_numbers(result))
+    console.print(_before_and_after(result))
+    if not result.margins:
+        return
+    console.print(_margins(result))
+    for check in result.checks:
+        rmse = ", ".join(f"{value:.4f}" for value in check.rmse)
+        console.print(
+            f"{check.scenario} on the MuJoCo plant: RMSE {rmse} rad; the two engines differ by at most "
+            f"{check.difference:.1e} rad"
+        )
+
+
+def _numbers(result: Any) -> Any:
+    """What was found: the rows that the result says, under their heads."""
+    from rich.table import Table
+
+    title, heads, rows = result.found()
+    table = Table(title=title, title_justify="left")
+    for k, head in enumerate(heads):
+        table.add_column(head, justify="right" if k else "left")
+    for name, *values in rows:
+        table.add_row(name, *(f"{value:.4g}" for value in values))
+    return table
+
+
+def _before_and_after(result: Any) -> Any:
+    from rich.table import Table
+
+    best, start = result.best.evaluation, result.start_evaluation
     table = Table(title="Before and after, over the ensemble", title_justify="left")
-    for name in ("", "first gains", "tuned"):
+    for name in ("", "first", "tuned"):
         table.add_column(name, justify="right" if name else "left")
     table.add_row("cost", f"{start.cost:.4f}", f"{best.cost:.4f}")
     for key, value in best.terms.items():
@@ -115,11 +179,19 @@ def _print(console: Console, tuned: TunedPid) -> None:
     table.add_row("largest share in saturation", f"{start.saturation:.1%}", f"{best.saturation:.1%}")
     unseen = len(result.unseen)
     if unseen:
+        from equimus_ctrl.tuning.result import summed
+
         before, after = (sum(e.stable for e in legs) for legs in (result.start_unseen, result.unseen))
         table.add_row(f"stable on {unseen} unseen robots", str(before), str(after))
-    console.print(table)
-    if not result.margins:
-        return
+        first, tuned = summed(result.start_unseen), summed(result.unseen)
+        for key in ("median", "worst"):
+            table.add_row(f"  {key} cost on these", f"{first[key]:.4f}", f"{tuned[key]:.4f}")
+    return table
+
+
+def _margins(result: Any) -> Any:
+    from rich.table import Table
+
     margins = Table(
         title="Margins of the linearised loop: on the model, and the least over all legs", title_justify="left"
     )
@@ -130,10 +202,4 @@ def _print(console: Console, tuned: TunedPid) -> None:
         for m in (own, least):
             row += [f"×{m.gain:.2f}", f"{m.phase * 57.29578:.0f}°", f"{m.delay * 1e3:.0f} ms"]
         margins.add_row(*row)
-    console.print(margins)
-    for check in result.checks:
-        rmse = ", ".join(f"{value:.4f}" for value in check.rmse)
-        console.print(
-            f"{check.scenario} on the MuJoCo plant: RMSE {rmse} rad; the two engines differ by at most "
-            f"{check.difference:.1e} rad"
-        )
+    return margins
