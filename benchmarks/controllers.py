@@ -101,11 +101,11 @@ def main() -> None:
                 own = [row for row in rows if (row.work, row.robot, row.controller) == key_of(rows[-1])]
                 print(line(own), flush=True)
                 keep(given.json, rows, given)
+                if given.figure:
+                    style.save(figure(rows, runs), given.figure)
     print("\n" + needs(away))
     if "triangle" in (given.work or ()):
         print("\n" + goal(rows))
-    if given.figure and rows:
-        style.save(figure(rows, runs), given.figure)
 
 
 def works(name: str, given: argparse.Namespace) -> list[Work]:
