@@ -8,7 +8,7 @@
 
     python benchmarks/nmpc.py [--seconds 10] [--output FILE.json] [--without-do-mpc]
 
-do-mpc is no dependency: pip install do-mpc.
+do-mpc is no dependency: pip install -e '.[peers]'.
 """
 
 from __future__ import annotations

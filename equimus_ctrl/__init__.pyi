@@ -64,6 +64,7 @@ from .errors import (
     SimulationDiverged as SimulationDiverged,
 )
 from .estimation.observer import Observer as Observer, ObserverSettings as ObserverSettings
+from .models.accelerations import accelerations as accelerations
 from .models.kinematics import Kinematics as Kinematics
 from .models.mjcf import (
     SolverSettings as SolverSettings,

@@ -3,11 +3,16 @@
 from __future__ import annotations
 
 import ast
+import dataclasses
+import importlib
 import runpy
 import subprocess
 import sys
+from collections.abc import Callable, Iterator
 from pathlib import Path
+from types import ModuleType
 
+import numpy as np
 import pytest
 from pendulum_runs import MOTOR, PENDULUM, recorded
 
@@ -88,3 +93,53 @@ def test_a_case_is_diagnosed_with_other_thresholds_where_decisions_fall_otherwis
         kept = row["varied"].get(name, row["base"])
         assert own["said"](alone) == own["said"](kept), name
         assert alone["findings"] == kept["findings"], name
+
+
+@pytest.fixture
+def benchmark_modules(monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[[str], ModuleType]]:
+    """Modules of the benchmarks by name, forgotten again afterwards."""
+    monkeypatch.syspath_prepend(str(ROOT / "benchmarks"))
+    yield importlib.import_module
+    for name in ("_peers", "_controller_works"):
+        sys.modules.pop(name, None)
+
+
+def test_lines_that_a_user_writes_are_those_with_code(benchmark_modules: Callable[[str], ModuleType]) -> None:
+    source = 'class A:\n    """Two lines\n    of words."""\n\n    # why\n    x = (\n        1,\n    )  # fmt\n'
+    assert benchmark_modules("_peers").code_lines(source) == 4
+
+
+def test_a_filtered_difference_finds_the_rate_of_a_ramp(benchmark_modules: Callable[[str], ModuleType]) -> None:
+    own = benchmark_modules("_peers").FilteredDifference(0.01, 0.02)
+    found = [own(np.array([0.3 * k * 0.01, -k * 0.02])) for k in range(60)]
+    np.testing.assert_allclose(found[-1], [0.3, -2.0], rtol=1e-6)
+    assert np.abs(found[1]).max() < 1.0  # behind a low-pass
+
+
+@pytest.mark.slow
+def test_controllers_are_driven_and_scored_alike_whoever_wrote_them(
+    benchmark_modules: Callable[[str], ModuleType],
+) -> None:
+    """python-control comes with this package; what falls is told from what stands."""
+    works = benchmark_modules("_controller_works")
+    work = works.stabilise()
+    short = dataclasses.replace(
+        work, scenario=dataclasses.replace(work.scenario, duration=3.0, score_window=(2.0, 3.0))
+    )
+    row, done = works.driven(short, "python-control", work.model, 0, 0)
+    assert not row.failure and 0.5 < row.arrival < 2.0 and row.rmse < 0.02 and row.median < 0.01
+    assert done is not None and len(done.time) == 300
+    idle = dataclasses.replace(short, makers={"idle": lambda seed: lambda observation, reference: np.zeros(1)})
+    assert works.driven(idle, "idle", work.model, 0, 0)[0].failure == "not there by the end"
+
+
+def test_masses_differ_and_commands_are_late_where_a_work_says_so(
+    benchmark_modules: Callable[[str], ModuleType],
+) -> None:
+    works = benchmark_modules("_controller_works")
+    spread = dataclasses.replace(works.stabilise(), spread=True)
+    robots = spread.robots(3, 1)
+    masses = np.array([own.robot.parameters()["pole.mass"] for own in robots])
+    assert len(set(masses)) == 3 and np.all(np.abs(masses / 0.1 - 1) <= works.MASS)
+    assert all(effect.parameters()["delay"] == works.LATE for own in robots for effect in own.effects)
+    assert spread.robots(3, 1)[0].robot.parameters() == robots[0].robot.parameters()

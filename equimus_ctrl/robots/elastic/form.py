@@ -53,6 +53,6 @@ class ElasticForm(NamedTuple):
         """How many states the robot has beside its motion."""
         return 0
 
-    def unlimited(self, parameters: Array) -> Array:
-        """(n_parameters,) the same parameters with no bounds of forces, of which there are none."""
+    def unlimited(self, parameters: Array, commands: bool = False) -> Array:
+        """(n_parameters,) the same parameters with no bounds of forces or commands, of which they have none."""
         return parameters

@@ -244,12 +244,14 @@ class TreeForm:
         found |= {("tendon", t): self.layout[f"tendon {t}"][TENDON_FRICTION] for t in self.rubbing}
         return found | {("coupling", k): self.layout[f"coupling {k}"][1] for k in range(len(self.coupled))}
 
-    def unlimited(self, parameters: Array) -> Array:
-        """(n_parameters,) the same parameters with no bounds of forces."""
+    def unlimited(self, parameters: Array, commands: bool = False) -> Array:
+        """(n_parameters,) the same parameters with no bounds of forces, nor of commands where that is asked."""
         found = np.array(parameters)
         for i, own in enumerate(self.actuators):
-            first = self.layout[f"actuator {i}"][6 if own.law == "affine" else 30]
-            found[first : first + 2] = -FAR, FAR
+            plain = own.law == "affine"
+            first = self.layout[f"actuator {i}"][6 if plain else 30]
+            pairs = 1 + commands * (1 if plain else len(own.inputs))  # the force's, then one for each command
+            found[first : first + 2 * pairs] = [-FAR, FAR] * pairs
         for block, places in self.layout.items():
             if block.startswith("clamp"):
                 found[list(places)] = -FAR, FAR
