@@ -82,8 +82,7 @@ def run(
         if not (isinstance(result, tuple) and len(result) == 2):
             raise ControllerError(f"{_name(controller)}.step returned {result!r}, expected (command, state)")
         state = result[1]
-        if k == 0:  # what depends on the reference is known by now
-            note = str(getattr(state, "note", ""))
+        note = str(getattr(state, "note", ""))
         asked[k] = checked_command(result[0], spec, observation.time, _name(controller))
         times[k], position[k] = observation.time, observation.position
         status.append(str(getattr(state, "status", "")))

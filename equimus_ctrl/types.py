@@ -265,7 +265,7 @@ class Run:
         before: (na,) command in force before the start [Pa].
         truth: (n, nj) true angles [rad], where the plant knows them; what is measured has noise and sensor effects.
         status: (n,) what the controller's state calls its ``status`` after each step; "" where it has none.
-        note: what its state says of itself as it begins, a sentence for a person; "" where it says nothing.
+        note: what its state says of itself in the end, a sentence for a person; "" where it says nothing.
     """
 
     spec: PlantSpec

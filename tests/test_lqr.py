@@ -187,8 +187,8 @@ def test_settings_come_from_tables_and_go_back() -> None:
     [
         (
             {"angel": 1.0},
-            "lqr.toml: there is no key 'angel'; did you mean 'angle'? (known: angle, bandwidth, disturbance, integral, "
-            "observer, pressure, rate, spacing, start_time)",
+            "lqr.toml: there is no key 'angel'; did you mean 'angle'? (known: angle, bandwidth, disturbance, "
+            "estimate_valves, integral, observer, pressure, rate, spacing, start_time)",
         ),
         ({"angle": "wide"}, "lqr.toml: angle is 'wide', expected a number"),
         ({"angle": True}, "lqr.toml: angle is True, expected a number"),

@@ -20,6 +20,7 @@ from equimus_ctrl.controllers.allowances import allowances
 from equimus_ctrl.controllers.inverse import Inverse, InverseState, Target
 from equimus_ctrl.controllers.lqr import CALM, LqrSettings, Schedule, waiting
 from equimus_ctrl.controllers.preview import Ahead, Preview, Sight
+from equimus_ctrl.controllers.valve_estimation import bank_of
 from equimus_ctrl.errors import ConfigError, ControllerError
 from equimus_ctrl.estimation.observer import Estimate, Observer, ObserverSettings, ObserverState, require_model
 from equimus_ctrl.models.linear import valve_lag
@@ -192,6 +193,8 @@ class Horizon:
         periods: returns (n,) how many control periods each interval lasts, given the number of periods by which each
             actuator obeys the next command later than the first one does.
         pose: (nj,) where the robot begins [rad]; its home by default.
+        banked: whether the observer keeps a bank of valves, where there is anything to be found.
+        prepared: whether gains are worked out for the whole grid of poses beforehand.
 
     Attributes:
         observer: of the plant.
@@ -215,12 +218,15 @@ class Horizon:
         settings: HorizonSettings,
         periods: Callable[[NDArray[np.int64]], NDArray[np.int64]],
         pose: Array | None = None,
+        banked: bool = False,
+        prepared: bool = True,
     ) -> None:
         self.settings, self.dt = settings, spec.control_dt
         require_model(spec)
         begins = spec.model.home if pose is None else pose
         allowed = allowances(spec, settings, np.zeros(len(spec.joints)) if begins is None else begins)
-        self.observer = Observer.of(spec, settings.observer, settings.compiled, allowed.beliefs)
+        bank = bank_of(spec, allowed, banked)
+        self.observer = Observer.of(spec, settings.observer, settings.compiled, allowed.beliefs, bank)
         model = self.observer.model
         self._waiting = waiting(model, self.dt)
         lasting = periods(self._waiting)
@@ -239,7 +245,8 @@ class Horizon:
         self.rate: Array = np.minimum(spec.command_rate, rate)
         self._note, self._driven = allowed.note, allowed.driven
         self.schedule = Schedule(model, settings.regulator(), self.dt, allowed)
-        self.schedule.prepare()
+        if prepared:
+            self.schedule.prepare()
         lagging = np.flatnonzero(valve_lag(valves_of(model)) > 0)
         nj = self.prediction.nj
         self._seen: NDArray[np.intp] = np.concatenate([np.arange(2 * nj), 2 * nj + lagging])
@@ -252,28 +259,45 @@ class Horizon:
             "observer": self.observer.init(observation),
             "followed": self.inverse.start(observation.time, np.array(observation.position)),
             "sight": None, "status": "hold", "reason": "",
-            "under_way": tuple(np.zeros(count) for count in self._waiting),
-            "expected": 0.0, "note": self._note,
+            "under_way": self._nothing_under_way(), "expected": 0.0, "note": self._note,
         }  # fmt: skip
 
-    def look(self, observation: Observation, reference: Reference, state: HorizonState) -> Outlook:
+    def taken_over(self, state: HorizonState) -> dict[str, Any]:
+        """The fields of a ``HorizonState`` that another model's valves change."""
+        return {
+            "followed": self.inverse.taken_over(state.followed), "sight": None,
+            "under_way": self._nothing_under_way(), "expected": 0.0,
+        }  # fmt: skip
+
+    def _nothing_under_way(self) -> tuple[Array, ...]:
+        return tuple(np.zeros(count) for count in self._waiting)
+
+    def look(
+        self, observation: Observation, reference: Reference, state: HorizonState, known: ObserverState | None = None
+    ) -> Outlook:
         """What a plan is to be made from at a control instant.
+
+        Args:
+            observation: of it.
+            reference: of the true angles.
+            state: of the controller.
+            known: what its observer remembers by then; by default what follows from the observation.
 
         Raises:
             ObserverFault: where a joint was not measured for longer than the observer has patience.
         """
         p = self.prediction
-        observer = self.observer.update(observation, state.observer)
+        observer = self.observer.update(observation, state.observer) if known is None else known
         self.observer.require_sound(observer)
         arrival = observation.time + self._delay
-        known = self.observer.foresee(observer, arrival)
+        ahead = self.observer.foresee(observer, arrival)
         # The effects' own states are the observer's: what is asked of the valves ahead goes on from them.
-        own = known.state[2 * p.nj + p.na :][: state.followed.states.shape[1]]
+        own = ahead.state[2 * p.nj + p.na :][: state.followed.states.shape[1]]
         followed = replace(state.followed, states=np.tile(own, (len(state.followed.states), 1)))
         path, sight = self._preview.look(reference, observation.time, followed, state.sight)
         # What acts on a joint without actuator cannot be held against, and would only make plans swing.
-        disturbance = np.where(self._driven, known.disturbance, 0.0) * float(self.settings.disturbance)
-        against = -self.inverse.counter(known.position, disturbance)
+        disturbance = np.where(self._driven, ahead.disturbance, 0.0) * float(self.settings.disturbance)
+        against = -self.inverse.counter(ahead.position, disturbance)
         path = replace(path, feed=path.feed + against, pressure=path.pressure + against)
         fixed, first = self._fixed(observer, arrival)
         wanted = Wanted(
@@ -282,7 +306,7 @@ class Horizon:
         before = observer.sent.values[-1]
         effort = self._effort(path.position[0])
         return Outlook(
-            observer, arrival, known, disturbance, against, path, sight, wanted, fixed, first, before, effort
+            observer, arrival, ahead, disturbance, against, path, sight, wanted, fixed, first, before, effort
         )
 
     def choose(

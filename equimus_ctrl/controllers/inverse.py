@@ -101,6 +101,10 @@ class Inverse:
         rest = self._law.rest(pose)
         return InverseState(time, pose, np.tile(rest, (len(self._delays), 1)), pose)
 
+    def taken_over(self, state: InverseState) -> InverseState:
+        """What another inverse has followed, for valves that differ from its own."""
+        return replace(state, states=np.tile(state.states[:1], (len(self._delays), 1)))
+
     def hold(self, state: InverseState) -> Array:
         """(na,) the command that holds the robot where it starts [Pa]."""
         return np.asarray(self.commands(self._holding(state)[None])[0])

@@ -23,9 +23,11 @@ from numpy.typing import NDArray
 
 from equimus_ctrl.controllers.allowances import Allowances, allowances
 from equimus_ctrl.controllers.inverse import Inverse, InverseState, Target
+from equimus_ctrl.controllers.valve_estimation import ValveEstimation, bank_of
 from equimus_ctrl.effects.command import DELAY
 from equimus_ctrl.errors import ConfigError, ControllerError
 from equimus_ctrl.estimation.observer import Estimate, Observer, ObserverSettings, ObserverState, require_model
+from equimus_ctrl.estimation.valve_bank import ValveBank
 from equimus_ctrl.models.linear import About, linearise, matrices_about, valve_lag
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.models.solved import valves_of
@@ -57,6 +59,8 @@ class LqrSettings(FileSettings):
             ``disturbance``: an integral also keeps what gathered while nothing could be done, as before a first command
             has arrived.
         disturbance: whether torques that the observer cannot explain are held against.
+        estimate_valves: whether dead times and lags up to the usual ones are found that nobody told of, see
+            ``controllers.valve_estimation``; of robots whose commands are pressures.
         spacing: of the grid of poses that gains are worked out at [rad].
         start_time: over which the first pose fades out of the reference, where every joint has an actuator [s].
         observer: covariances of the Kalman filter; by default unknown torques walk slowly. What compensates them is an
@@ -74,6 +78,7 @@ class LqrSettings(FileSettings):
     bandwidth: float = 0.0
     integral: float = 0.0
     disturbance: bool = True
+    estimate_valves: bool = True
     spacing: float = 0.2
     start_time: float = 0.3
     observer: ObserverSettings = field(default_factory=lambda: ObserverSettings(disturbance=CALM))
@@ -297,7 +302,9 @@ class LqrState:
         under_way: for each actuator commands beyond what the reference asked for, the next to arrive first [Pa].
         tools: made for the plant once.
         possible: of the latest instants, what share of the reference's motion can be done.
-        note: where allowances come from; empty where settings say them.
+        note: where allowances come from, or what was found of the valves; empty where settings say all.
+        estimation: of valves; None where there is none.
+        watched: what its observer remembers.
     """
 
     observer: ObserverState
@@ -307,6 +314,8 @@ class LqrState:
     tools: LqrTools
     possible: tuple[float, ...] = ()
     note: str = ""
+    estimation: ValveEstimation[LqrTools] | None = None
+    watched: ObserverState | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -317,6 +326,10 @@ class LqrTools:
     inverse: Inverse
     schedule: Schedule
     dt: float
+
+    def nothing_under_way(self) -> tuple[Array, ...]:
+        """For each actuator, see ``LqrState``: what was asked for is what the reference asks for."""
+        return tuple(np.zeros(count) for count in waiting(self.observer.model, self.dt))
 
 
 class LqrController:
@@ -343,16 +356,24 @@ class LqrController:
         s, position = self.settings, np.array(observation.position)
         require_model(spec)
         allowed = allowances(spec, s, position)
-        observer = Observer.of(spec, s.observer, beliefs=allowed.beliefs)
-        model = observer.model
-        inverse = Inverse(model, spec.control_dt, s.start_time if allowed.driven.all() else 0.0)
-        tools = LqrTools(observer, inverse, Schedule(model, s, spec.control_dt, allowed), spec.control_dt)
+
+        def made(own: PlantSpec, bank: ValveBank | None = None) -> LqrTools:
+            observer = Observer.of(own, s.observer, beliefs=allowed.beliefs, bank=bank)
+            model, dt = observer.model, own.control_dt
+            inverse = Inverse(model, dt, s.start_time if allowed.driven.all() else 0.0)
+            return LqrTools(observer, inverse, Schedule(model, s, dt, allowed), dt)
+
+        bank = bank_of(spec, allowed, s.estimate_valves)
+        tools = made(spec, bank)
         if self._in_time:
             tools.schedule.prepare()
-        under_way = tuple(np.zeros(count) for count in waiting(model, spec.control_dt))
-        begun = observer.init(observation)
-        followed, none = inverse.start(observation.time, position), np.zeros(len(position))
-        return LqrState(begun, followed, none, under_way, tools, note=allowed.note)
+        begun = tools.observer.init(observation)
+        followed, none = tools.inverse.start(observation.time, position), np.zeros(len(position))
+        estimation = None if bank is None else ValveEstimation(spec, tools, made)
+        return LqrState(
+            begun, followed, none, tools.nothing_under_way(), tools, note=allowed.note, estimation=estimation,
+            watched=None if bank is None else begun,
+        )  # fmt: skip
 
     def step(self, observation: Observation, reference: Reference, state: LqrState) -> tuple[Array, LqrState]:
         """The next command, within the plant's limits.
@@ -360,8 +381,8 @@ class LqrController:
         Raises:
             ObserverFault: where a joint was not measured for longer than the observer has patience.
         """
-        t, s = state.tools, self.settings
-        known = t.observer.update(observation, state.observer)
+        state = self._looked(observation, state)
+        t, s, known = state.tools, self.settings, state.observer
         t.observer.require_sound(known)
         ahead = t.observer.foresee(known, observation.time + float(t.observer.delays.min()))
         target, followed = t.inverse.target(reference, observation.time, state.inverse)
@@ -385,5 +406,20 @@ class LqrController:
             np.append(old[1:], new) if len(old) else old for old, new in zip(state.under_way, beyond, strict=True)
         )
         return frozen_array(command), replace(
-            state, observer=known, inverse=followed, integral=integral, under_way=under_way, possible=possible
+            state, inverse=followed, integral=integral, under_way=under_way, possible=possible
         )
+
+    def _looked(self, observation: Observation, state: LqrState) -> LqrState:
+        """With what is known of the robot now, and the tools for it."""
+        if state.estimation is None or state.watched is None:
+            return replace(state, observer=state.tools.observer.update(observation, state.observer))
+        estimation = state.estimation
+        found = estimation.look(observation, state.tools, state.observer, state.watched)
+        state = replace(state, observer=found.observer, watched=found.watched)
+        if not found.changed:
+            return state
+        own, note = found.tools, estimation.note(found.watched)
+        return replace(
+            state, tools=own, inverse=own.inverse.taken_over(state.inverse), under_way=own.nothing_under_way(),
+            possible=(), note=note,
+        )  # fmt: skip

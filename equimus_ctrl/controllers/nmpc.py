@@ -18,7 +18,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from equimus_ctrl.controllers.horizon import Horizon, HorizonSettings, HorizonState, Pace
+from equimus_ctrl.controllers.valve_estimation import ValveEstimation
 from equimus_ctrl.errors import ConfigError
+from equimus_ctrl.estimation.observer import Observer, ObserverState
 from equimus_ctrl.models.prediction import followed_rates, steps_in
 from equimus_ctrl.predictive.problem import Answer, Plan, Problem
 from equimus_ctrl.predictive.quadratic import SOLVERS
@@ -42,6 +44,8 @@ class NmpcSettings(HorizonSettings, FileSettings):
         iterations: programs solved at one instant, at most; 1 is the real-time iteration.
         tolerance: it has converged where no command changes by more, in allowances.
         velocity: soft bound of the joints' velocities, either way [rad/s or m/s]; 0 for none.
+        estimate_valves: whether dead times and lags up to the usual ones are found that nobody told of, see
+            ``controllers.valve_estimation``; of robots whose commands are pressures.
         solver: of quadratic programs.
 
     Raises:
@@ -55,6 +59,7 @@ class NmpcSettings(HorizonSettings, FileSettings):
     iterations: int = 5
     tolerance: float = 0.01
     velocity: float = 0.0
+    estimate_valves: bool = True
     solver: str = "daqp"
 
     def __post_init__(self) -> None:
@@ -75,12 +80,16 @@ class NmpcState(HorizonState):
     Attributes:
         plan: the latest plan that was solved for, or None.
         answer: the latest solution, or None.
-        tools: made for the plant once.
+        tools: made for the plant, and its valves, once.
+        estimation: of valves; None where there is none.
+        watched: what its observer remembers.
     """
 
     plan: Plan | None
     answer: Answer | None
     tools: NmpcTools
+    estimation: ValveEstimation[NmpcTools] | None = None
+    watched: ObserverState | None = None
 
 
 def intervals(nodes: int, stride: int, later: NDArray[np.int64]) -> NDArray[np.int64]:
@@ -110,6 +119,11 @@ class NmpcTools:
     horizon: Horizon
     problem: Problem
 
+    @property
+    def observer(self) -> Observer:
+        """That of the horizon."""
+        return self.horizon.observer
+
 
 class NmpcController:
     """The predictive controller; its state is an ``NmpcState``.
@@ -133,9 +147,22 @@ class NmpcController:
                 where it is.
             ConfigError: where the margin leaves nothing of a joint's range.
         """
-        s = self.settings
-        position = np.array(observation.position)
-        horizon = Horizon(spec, s, lambda later: intervals(s.nodes, s.stride, later), position)
+        s, position = self.settings, np.array(observation.position)
+        tools = self._tools(spec, s, position, banked=s.estimate_valves)
+        begun = tools.horizon.begin(observation)
+        estimation, watched = None, None
+        if tools.observer.bank is not None:
+            # Another model's functions are interpreted: a robot does not wait until a compiler is done.
+            plain = replace(s, compiled=False)
+            estimation = ValveEstimation(spec, tools, lambda own: self._tools(own, plain, position, prepared=False))
+            watched = begun["observer"]
+        return NmpcState(**begun, plan=None, answer=None, tools=tools, estimation=estimation, watched=watched)
+
+    @staticmethod
+    def _tools(
+        spec: PlantSpec, s: NmpcSettings, position: Array, banked: bool = False, prepared: bool = True
+    ) -> NmpcTools:
+        horizon = Horizon(spec, s, lambda later: intervals(s.nodes, s.stride, later), position, banked, prepared)
         angles, rate = s.joint_range(spec), followed_rates(horizon.observer.model)[0]
         interval = s.stride * horizon.dt
         if s.velocity:
@@ -151,7 +178,7 @@ class NmpcController:
             s.compiled,
             max(math.ceil(rate * interval / FOLLOWED), steps_in(horizon.observer.model, interval)),
         )
-        return NmpcState(**horizon.begin(observation), plan=None, answer=None, tools=NmpcTools(horizon, problem))
+        return NmpcTools(horizon, problem)
 
     def step(self, observation: Observation, reference: Reference, state: NmpcState) -> tuple[Array, NmpcState]:
         """The next command, within the plant's limits.
@@ -159,9 +186,10 @@ class NmpcController:
         Raises:
             ObserverFault: where a joint was not measured for longer than the observer has patience.
         """
+        pace = Pace(self._now, self.settings.deadline, state.expected)
+        state, known = self._looked(observation, state)
         s, horizon, problem = self.settings, state.tools.horizon, state.tools.problem
-        pace = Pace(self._now, s.deadline, state.expected)
-        view = horizon.look(observation, reference, state)
+        view = horizon.look(observation, reference, state, known)
         shifted = None
         if state.plan is not None and view.arrival < state.plan.time + problem.times[-1]:
             guess = shifted = problem.shifted(state.plan, view.arrival, view.wanted)
@@ -185,3 +213,17 @@ class NmpcController:
         command, state = horizon.send(view, asked, observation, state)
         plan = state.plan if failed else answer.plan
         return command, replace(state, plan=plan, status=status, reason=reason, answer=answer, expected=pace.expected)
+
+    @staticmethod
+    def _looked(observation: Observation, state: NmpcState) -> tuple[NmpcState, ObserverState | None]:
+        """With the tools for the likeliest valves, and what their observer remembers by now; None without a bank."""
+        if state.estimation is None or state.watched is None:
+            return state, None
+        estimation = state.estimation
+        found = estimation.look(observation, state.tools, state.observer, state.watched)
+        state = replace(state, watched=found.watched)
+        if found.changed:
+            taken = found.tools.horizon.taken_over(state)
+            note = estimation.note(found.watched)
+            state = replace(state, tools=found.tools, plan=None, answer=None, note=note, **taken)
+        return state, found.observer

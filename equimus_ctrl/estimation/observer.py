@@ -21,6 +21,7 @@ from equimus_ctrl.effects.valves import shaped_commands
 from equimus_ctrl.engines.native import native
 from equimus_ctrl.errors import ConfigError, ControllerError
 from equimus_ctrl.estimation.beliefs import Beliefs, pressed
+from equimus_ctrl.estimation.valve_bank import BankState, Carried, Sent, ValveBank
 from equimus_ctrl.models.buffered import Buffered
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.models.prediction import Prediction, followed_rates, prediction, steps_in
@@ -101,24 +102,6 @@ class Estimate:
 
 
 @dataclass(frozen=True, eq=False)
-class Sent:
-    """Commands that may still be on their way.
-
-    Attributes:
-        times: (n,) from when each was in force [s].
-        values: (n, na) what reaches the valves of them, see ``effects.valves.shaped_commands`` [Pa].
-    """
-
-    times: Array
-    values: Array
-
-    def at(self, time: float, actuator: int) -> float:
-        """In force at a time, the first before all [Pa]."""
-        k = int(np.searchsorted(self.times, time + EARLY, side="right")) - 1
-        return float(self.values[max(k, 0), actuator])
-
-
-@dataclass(frozen=True, eq=False)
 class ObserverState:
     """All that an observer remembers.
 
@@ -132,6 +115,7 @@ class ObserverState:
         seen: (nj,) when each joint was last measured [s].
         waiting: (time, joint, angle) of measurements newer than where the filter stands.
         status: ``"tracking"``; ``"coasting"`` while some joint was not measured anew, ``"fault"`` after too long.
+        bank: what is known of valves that nobody told of; None without a bank.
     """
 
     time: float
@@ -143,6 +127,7 @@ class ObserverState:
     seen: Array
     waiting: tuple[tuple[float, int, float], ...] = ()
     status: Status = "tracking"
+    bank: BankState | None = None
 
 
 def require_model(spec: PlantSpec) -> None:
@@ -168,6 +153,7 @@ class Observer:
         settings: its covariances.
         compiled: whether a C compiler is used where there is one.
         beliefs: in place of the settings' shares; needed where commands are no pressures.
+        bank: hypotheses of valves that are later than is known; what the filter itself says does not depend on it.
 
     Attributes:
         prediction: the model's step.
@@ -181,7 +167,9 @@ class Observer:
         settings: ObserverSettings | None = None,
         compiled: bool = False,
         beliefs: Beliefs | None = None,
+        bank: ValveBank | None = None,
     ) -> None:
+        self.bank = bank
         self.settings = s = settings or ObserverSettings()
         self.prediction: Prediction = prediction(model)
         p = self.prediction
@@ -206,6 +194,7 @@ class Observer:
         settings: ObserverSettings | None = None,
         compiled: bool = False,
         beliefs: Beliefs | None = None,
+        bank: ValveBank | None = None,
     ) -> Observer:
         """For what a controller may know of a plant; arguments are those of the class.
 
@@ -213,7 +202,7 @@ class Observer:
             ControllerError: where the plant offers no model.
         """
         require_model(spec)
-        return cls(Model(spec.model, spec.effects, spec.phase), spec.control_dt, settings, compiled, beliefs)
+        return cls(Model(spec.model, spec.effects, spec.phase), spec.control_dt, settings, compiled, beliefs, bank)
 
     def init(self, observation: Observation) -> ObserverState:
         """A robot that has long been at rest under the command in force.
@@ -237,7 +226,10 @@ class Observer:
         start = observation.stamp - float(self._sensor_delay.max())
         sent = Sent(np.array([-math.inf]), arriving)
         seen = np.full(p.nj, observation.stamp)
-        return ObserverState(start, mean, np.diag(deviation**2), observation.time, sent, observation.stamp, seen)
+        bank = None if self.bank is None else self.bank.begin(len(mean), arriving[0])
+        return ObserverState(
+            start, mean, np.diag(deviation**2), observation.time, sent, observation.stamp, seen, bank=bank
+        )
 
     def update(self, observation: Observation, state: ObserverState) -> ObserverState:
         """What is known after one more control instant."""
@@ -253,16 +245,23 @@ class Observer:
         waiting = tuple(sorted((*state.waiting, *new)))
         stamp = observation.stamp if fresh else state.stamp
         ready = stamp - float(self._sensor_delay.max()) + EARLY
-        mean, covariance, time = state.mean, state.covariance, state.time
+        mean, covariance, time, bank = state.mean, state.covariance, state.time, state.bank
         for at, joint, angle in (w for w in waiting if w[0] <= ready):
-            mean, covariance = self._ahead(mean, covariance, time, at, state.sent)
+            by = None if bank is None else Carried.nothing(len(mean), len(self.delays))
+            mean, covariance = self._ahead(mean, covariance, time, at, state.sent, by)
+            row, gain, off, variance = self._measured(mean, covariance, joint, angle)
+            if self.bank is not None and bank is not None and by is not None:
+                bank = self.bank.carried(bank, by, time, at, state.sent)
+                bank = self.bank.corrected(bank, row, gain, off, variance)
             time = max(time, at)
-            mean, covariance = self._corrected(mean, covariance, joint, angle)
+            mean, covariance = self._corrected(mean, covariance, row, gain, off)
+        if self.bank is not None and bank is not None:
+            bank = self.bank.chosen(bank)
         status: Status = "tracking" if good.all() else "coasting"
         if observation.time - seen.min() > self.settings.patience:
             status = "fault"
         return replace(
-            state, time=time, mean=mean, covariance=covariance, stamp=stamp, seen=seen, status=status,
+            state, time=time, mean=mean, covariance=covariance, stamp=stamp, seen=seen, status=status, bank=bank,
             waiting=tuple(w for w in waiting if w[0] > ready),
         )  # fmt: skip
 
@@ -321,7 +320,7 @@ class Observer:
                 times, values = np.append(times, state.now), np.vstack([values, arriving])
         else:
             values = np.vstack([values[:-1], arriving])
-        oldest = state.time - float(self.delays.max())
+        oldest = state.time - float(self.delays.max()) - (0.0 if self.bank is None else self.bank.longest)
         first = max(int(np.searchsorted(times, oldest, side="right")) - 1, 0)
         return Sent(times[first:], values[first:])
 
@@ -335,12 +334,16 @@ class Observer:
                 steps = max(math.ceil((end - begin) / self._substep - 1e-6), 1)
                 yield [sent.at(begin - delay, i) for i, delay in enumerate(self.delays)], (end - begin) / steps, steps
 
-    def _ahead(self, mean: Array, covariance: Array, start: float, until: float, sent: Sent) -> tuple[Array, Array]:
-        """Mean and covariance at ``until``."""
-        n, m = self.prediction.nx, len(mean)
+    def _ahead(
+        self, mean: Array, covariance: Array, start: float, until: float, sent: Sent, carried: Carried | None = None
+    ) -> tuple[Array, Array]:
+        """Mean and covariance at ``until``; how these were carried on goes to ``carried``."""
+        p = self.prediction
+        n, m = p.nx, len(mean)
         x, u, d, h = self._slopes.arguments
-        after, by_x, _, by_d = self._slopes.results
-        by_d = by_d.reshape(n, -1)  # flat where there is one joint
+        after, by_x, by_u, by_d = self._slopes.results
+        by_u, by_d = by_u.reshape(n, -1), by_d.reshape(n, -1)  # flat where there is one actuator, or joint
+        pressures = slice(2 * p.nj, 2 * p.nj + p.na)
         f = np.eye(m)
         for part, span, steps in self._parts(start, until, sent):
             u[:], h[:] = part, span
@@ -348,6 +351,12 @@ class Observer:
                 x[:], d[:] = mean[:n], mean[n:]
                 self._slopes()
                 f[:n, :n], f[:n, n:] = by_x, by_d
+                if carried is not None:
+                    # A pressure that differs over the whole step does so at its begin and in what follows.
+                    g = np.zeros((m, p.na))
+                    g[:n] = by_x[:, pressures] + by_u
+                    g[pressures] = 0.0
+                    carried.on(f, g)
                 mean = np.concatenate([after, d])
                 noise = self._walk * span
                 # A random torque over the step moves the velocities as the disturbance does over it.
@@ -356,13 +365,30 @@ class Observer:
                 covariance = f @ covariance @ f.T + noise
         return mean, covariance
 
-    def _corrected(self, mean: Array, covariance: Array, joint: int, angle: float) -> tuple[Array, Array]:
-        """After a measured angle; the covariance in Joseph's form."""
+    def _measured(self, mean: Array, covariance: Array, joint: int, angle: float) -> tuple[Array, Array, float, float]:
+        """Of a measured angle the row H (m,), the gain (m,), what it is off by, and the variance of that."""
         offset, scale = self.prediction.sensor[joint, [OFFSET, SCALE]]
         row = scale * covariance[joint]
-        gain = row / (scale * row[joint] + self.settings.noise**2)
-        mean = mean + gain * (angle - offset - scale * mean[joint])
-        keep = np.eye(len(mean))
-        keep[:, joint] -= gain * scale
+        variance = scale * row[joint] + self.settings.noise**2
+        seen = np.zeros(len(mean))
+        seen[joint] = scale
+        return seen, row / variance, angle - offset - scale * mean[joint], variance
+
+    def _corrected(self, mean: Array, covariance: Array, row: Array, gain: Array, off: float) -> tuple[Array, Array]:
+        """After a measurement, see ``_measured``; the covariance in Joseph's form."""
+        mean = mean + gain * off
+        keep = np.eye(len(mean)) - np.outer(gain, row)
         covariance = keep @ covariance @ keep.T + self.settings.noise**2 * np.outer(gain, gain)
         return mean, (covariance + covariance.T) / 2
+
+    def others(self, state: ObserverState) -> ObserverState:
+        """What the observer of the bank's choice remembers where this one remembers ``state``.
+
+        Args:
+            state: of this observer, with a bank.
+        """
+        assert self.bank is not None and state.bank is not None
+        p = self.prediction
+        mean = state.mean + self.bank.deviation(state.bank)
+        mean[2 * p.nj : 2 * p.nj + p.na] = self.bank.pressures(state.bank)
+        return replace(state, mean=mean, bank=None)

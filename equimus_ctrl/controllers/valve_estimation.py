@@ -1,0 +1,111 @@
+"""Regulators that find out about their valves: what they are made of follows the likeliest hypothesis of a bank.
+
+Weights that settings say were not looked at with what usually stands between a command and its force, as those that
+``controllers.allowances`` finds are. With 0.1 s of dead time and 0.1 s of lag that its model lacks, the leg's regulator
+swings; weights low enough not to let it hold against less. So its observer keeps a bank of valves up to the usual ones
+(``estimation.valve_bank``), and once another is likely beyond chance, observer, inverse and regulator are those of a
+model that has it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Generic, Protocol, TypeVar
+
+from equimus_ctrl.controllers.allowances import Allowances
+from equimus_ctrl.estimation.observer import Observer, ObserverState
+from equimus_ctrl.estimation.valve_bank import ValveBank
+from equimus_ctrl.models.model import Model
+from equimus_ctrl.types import Observation, PlantSpec
+
+
+class Observing(Protocol):
+    """What is made for one hypothesis."""
+
+    @property
+    def observer(self) -> Observer: ...
+
+
+Tools = TypeVar("Tools", bound=Observing)
+
+
+def bank_of(spec: PlantSpec, allowed: Allowances, wanted: bool) -> ValveBank | None:
+    """A bank for a robot; None where it is not wanted, nothing is later than is known, or weights allow for that."""
+    if not wanted or allowed.bandwidth:
+        return None
+    bank = ValveBank(Model(spec.model, spec.effects, spec.phase))
+    return bank if bank.is_open else None
+
+
+@dataclass(frozen=True, eq=False)
+class Looked(Generic[Tools]):
+    """What is known at a control instant.
+
+    Attributes:
+        tools: those in force.
+        observer: what their observer remembers.
+        watched: what the observer with the bank does.
+        changed: whether they have come into force just now.
+    """
+
+    tools: Tools
+    observer: ObserverState
+    watched: ObserverState
+    changed: bool
+
+
+class ValveEstimation(Generic[Tools]):
+    """Tools for each hypothesis, made when it first comes into force.
+
+    Args:
+        spec: of the plant, with the model.
+        known: tools of the model as it is known; their observer has a bank.
+        make: of a spec whose model has other valves.
+    """
+
+    def __init__(self, spec: PlantSpec, known: Tools, make: Callable[[PlantSpec], Tools]) -> None:
+        bank = known.observer.bank
+        assert bank is not None
+        self._spec, self._make, self._bank, self._observer = spec, make, bank, known.observer
+        self._made: dict[tuple[int, ...], Tools] = {(0,) * len(spec.actuators): known}
+
+    def look(
+        self, observation: Observation, tools: Tools, state: ObserverState, watched: ObserverState
+    ) -> Looked[Tools]:
+        """What is known after one more control instant.
+
+        Args:
+            observation: of it.
+            tools: that were in force.
+            state: what their observer remembers.
+            watched: what the observer with the bank does.
+        """
+        after = self._observer.update(observation, watched)
+        assert watched.bank is not None and after.bank is not None
+        changed = after.bank.choice != watched.bank.choice
+        if changed:
+            tools = self._of(after.bank.choice)
+        if tools.observer is self._observer:
+            own = after
+        elif changed:
+            own = self._observer.others(after)
+        else:
+            own = tools.observer.update(observation, state)
+        return Looked(tools, own, after, changed)
+
+    def note(self, watched: ObserverState) -> str:
+        """For a person: by how much valves were found later than is known; empty where they were not."""
+        assert watched.bank is not None
+        late = self._bank.late[range(len(self._spec.actuators)), list(watched.bank.choice)]
+        found = [
+            f"{name} by {dead:.3g} s of dead time and {lag:.3g} s of lag"
+            for name, (dead, lag) in zip(self._spec.actuators, late, strict=True)
+            if dead or lag
+        ]
+        return f"valves were found to be later than is known: {', '.join(found)}" if found else ""
+
+    def _of(self, choice: tuple[int, ...]) -> Tools:
+        if choice not in self._made:
+            self._made[choice] = self._make(replace(self._spec, effects=self._bank.model(choice).effects))
+        return self._made[choice]

@@ -1,0 +1,262 @@
+"""Dead times and lags of valves that nobody told of, from commands and positions: a bank of Kalman filters.
+
+Each actuator has hypotheses of how much later its valve is than is known. About its estimate the filter is linear, so
+that the filter of other valves differs from it by a sum of one deviation for each actuator,
+
+    δ ← F δ + G (P_h − P),    δ ← (1 − K H) δ,    ν_h = ν − Σ H δ,
+
+P being what has passed the valves, F and G how a step carries state and pressures on, K the filter's gain and ν what a
+measurement differs by from what was expected. All filters share their covariances, so that with s the variance of ν
+
+    −2 ln L_h = Σ ν_h²/s + what all have in common
+
+(multiple models, Magill, "Optimal adaptive estimation of sampled stochastic processes", IEEE Transactions on Automatic
+Control 10, 1965). One filter is run; the others take a product of matrices.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from equimus_ctrl.effects.command import DELAY, FILL, VENT
+from equimus_ctrl.effects.valves import ValveEffect, valve_effects, valve_settings
+from equimus_ctrl.models.linear import valve_lag
+from equimus_ctrl.models.model import Model
+from equimus_ctrl.models.solved import valves_of
+from equimus_ctrl.types import Array
+
+PARTS = 4
+"""Into which the usual dead time and the usual lag are divided: valves are known to an eighth of these."""
+CHANCE = 1e-3
+"""With which noise alone makes any hypothesis look so much better than the one in force (Bonferroni over all)."""
+EXPLAINED = 0.5
+"""Share of what the known valves leave of Σ ν²/s beyond its expectation that others have to explain: most of it, or
+something else is missing, a push say, of which later valves explain a little by chance."""
+SMALL = 1e-9
+"""Time constants and times that are none [s]."""
+
+
+@dataclass(frozen=True, eq=False)
+class Sent:
+    """Commands that may still be on their way.
+
+    Attributes:
+        times: (n,) from when each was in force [s].
+        values: (n, na) what reaches the valves of them, see ``effects.valves.shaped_commands`` [Pa].
+    """
+
+    times: Array
+    values: Array
+
+    def at(self, time: float, actuator: int) -> float:
+        """In force at a time, the first before all [Pa]."""
+        k = int(np.searchsorted(self.times, time + SMALL, side="right")) - 1
+        return float(self.values[max(k, 0), actuator])
+
+    def between(self, start: float, until: float, actuator: int) -> list[tuple[float, float]]:
+        """(command [Pa], how long it was in force [s]) from start to until."""
+        inside = self.times[(self.times > start + SMALL) & (self.times < until - SMALL)]
+        edges = itertools.pairwise([start, *inside.tolist(), until])
+        return [(self.at(begin, actuator), end - begin) for begin, end in edges]
+
+
+@dataclass(eq=False)
+class Carried:
+    """How an interval carries a filter's state on; grows with its parts.
+
+    Attributes:
+        state: (m, m) F.
+        pressure: (m, na) G, of pressures that differ over all of it.
+    """
+
+    state: Array
+    pressure: Array
+
+    @classmethod
+    def nothing(cls, m: int, na: int) -> Carried:
+        """Of no time."""
+        return cls(np.eye(m), np.zeros((m, na)))
+
+    def on(self, f: Array, g: Array) -> None:
+        """One part more."""
+        self.state, self.pressure = f @ self.state, f @ self.pressure + g
+
+
+@dataclass(frozen=True, eq=False)
+class BankState:
+    """What a bank remembers, its k hypotheses of each of na actuators one after the other.
+
+    Attributes:
+        deviation: (m, na k) δ.
+        pressure: (na, k) behind the valves [Pa].
+        fits: (na k,) Σ ν Hδ/s.
+        alike: (na k, na k) Σ Hδ (Hδ)ᵀ/s.
+        total: Σ ν²/s of the filter that is run.
+        count: of measurements.
+        choice: (na,) the hypothesis in force of each actuator.
+    """
+
+    deviation: Array
+    pressure: Array
+    fits: Array
+    alike: Array
+    total: float
+    count: int
+    choice: tuple[int, ...]
+
+
+class ValveBank:
+    """Hypotheses of one model's valves: each dead time with each lag, from what is known to what is usual.
+
+    Args:
+        model: what is known of the robot.
+
+    Attributes:
+        late: (na, k, 2) further dead time and lag of each hypothesis, the first none [s].
+        longest: further dead time, at most [s].
+    """
+
+    def __init__(self, model: Model) -> None:
+        valve, traits = valves_of(model), model.robot.traits
+        known = np.stack([valve[:, DELAY], valve_lag(valve)], axis=1)
+        room = np.maximum(np.array([traits.usual_delay, traits.usual_lag]) - known, 0.0)
+        share = np.linspace(0.0, 1.0, PARTS + 1)
+        each = np.array([(delay, lag) for delay in share for lag in share])
+        self.late: Array = room[:, None] * each
+        self.longest = float(room[:, 0].max(initial=0.0))
+        self.is_open = bool(room.any())
+        self._count = len(each)
+        self._alternatives = float(self._count) ** len(valve)
+        self._model = model
+        # Of one actuator, hypotheses of one dead time and all lags: they see the same commands.
+        self._alike: list[tuple[int, NDArray[np.intp], float, Array]] = []
+        for i, whole in enumerate(known[:, None] + self.late):
+            for late in np.unique(whole[:, 0]):
+                own = np.flatnonzero(whole[:, 0] == late)
+                self._alike.append((i, own, float(late), np.maximum(whole[own, 1], SMALL)))
+
+    def begin(self, m: int, pressure: Array) -> BankState:
+        """A robot that has long been at rest.
+
+        Args:
+            m: states of the filter, unknown torques included.
+            pressure: (na,) [Pa].
+        """
+        na, k = len(pressure), self._count
+        own = np.repeat(pressure[:, None], k, axis=1)
+        return BankState(np.zeros((m, na * k)), own, np.zeros(na * k), np.zeros((na * k, na * k)), 0.0, 0, (0,) * na)
+
+    def carried(self, state: BankState, by: Carried, start: float, until: float, sent: Sent) -> BankState:
+        """Over an interval without a measurement.
+
+        Args:
+            state: at its begin.
+            by: how it carries the filter on.
+            start: its begin [s].
+            until: its end [s].
+            sent: the commands of up to ``longest`` and the valves' delay before.
+        """
+        if until <= start + SMALL:
+            return state
+        na, k = state.pressure.shape
+        mean, pressure = np.empty((na, k)), state.pressure.copy()
+        for i, own, late, tau in self._alike:
+            p, area = pressure[i, own], np.zeros(len(tau))
+            for command, span in sent.between(start - late, until - late, i):
+                decay = np.exp(-span / tau)
+                area += command * span + (p - command) * tau * (1 - decay)
+                p = command + (p - command) * decay
+            pressure[i, own], mean[i, own] = p, area / (until - start)
+        other = mean - mean[:, :1]
+        deviation = by.state @ state.deviation + (by.pressure[:, :, None] * other).reshape(len(by.state), na * k)
+        return replace(state, deviation=deviation, pressure=pressure)
+
+    def corrected(self, state: BankState, row: Array, gain: Array, off: float, variance: float) -> BankState:
+        """After a measurement.
+
+        Args:
+            state: before.
+            row: (m,) H.
+            gain: (m,) K.
+            off: ν.
+            variance: s.
+        """
+        seen = row @ state.deviation
+        return replace(
+            state,
+            deviation=state.deviation - np.outer(gain, seen),
+            fits=state.fits + off / variance * seen,
+            alike=state.alike + np.outer(seen, seen) / variance,
+            total=state.total + off**2 / variance,
+            count=state.count + 1,
+        )
+
+    def chosen(self, state: BankState) -> BankState:
+        """With the likeliest hypothesis in force, where the one that was is too unlikely for chance.
+
+        Where none explains what is measured, the model lacks something else; what that makes of ν is then the noise.
+        The known valves stay in force until later ones explain most of what they leave.
+        """
+        best = min((self._improved(state, begin) for begin in self._begins(state)), key=lambda own: own[1])
+        cost = self._cost(state, state.choice)
+        least = 2 * math.log(self._alternatives / CHANCE) * max(best[1] / max(state.count, 1), 1.0)
+        if not any(state.choice):
+            least = max(least, EXPLAINED * (cost - state.count))
+        return replace(state, choice=best[0]) if cost - best[1] > least else state
+
+    def deviation(self, state: BankState) -> Array:
+        """(m,) by how much the state of the filter of the hypothesis in force differs."""
+        return np.asarray(state.deviation[:, self._columns(state.choice)].sum(axis=1))
+
+    def pressures(self, state: BankState) -> Array:
+        """(na,) behind the valves of the hypothesis in force [Pa]."""
+        return np.asarray(state.pressure[np.arange(len(state.pressure)), list(state.choice)])
+
+    def model(self, choice: tuple[int, ...]) -> Model:
+        """The model with the valves of a hypothesis."""
+        if not any(choice):
+            return self._model
+        names, effects = self._model.robot.actuator_names, self._model.effects
+        valve = valve_settings(effects, names)
+        for row, late, own in zip(valve, self.late, choice, strict=True):
+            row[DELAY] += late[own, 0]
+            row[[FILL, VENT]] += late[own, 1]
+        kept = [effect for effect in effects if not isinstance(effect, ValveEffect)]
+        valves = [effect for row, name in zip(valve, names, strict=True) for effect in valve_effects(row, name)]
+        return replace(self._model, effects=(*kept, *valves))
+
+    def _columns(self, choice: tuple[int, ...]) -> NDArray[np.intp]:
+        return np.array([i * self._count + own for i, own in enumerate(choice)], dtype=np.intp)
+
+    def _cost(self, state: BankState, choice: tuple[int, ...]) -> float:
+        """Σ ν_h²/s."""
+        own = self._columns(choice)
+        return float(state.total - 2 * state.fits[own].sum() + state.alike[np.ix_(own, own)].sum())
+
+    def _begins(self, state: BankState) -> list[tuple[int, ...]]:
+        """Where the likeliest is looked for from: that in force, and the likeliest of those alike for all actuators."""
+        na, k = len(state.choice), self._count
+        both = np.einsum("iaja->a", state.alike.reshape(na, k, na, k))
+        alike = both - 2 * state.fits.reshape(na, k).sum(axis=0)
+        return [state.choice, (int(np.argmin(alike)),) * na]
+
+    def _improved(self, state: BankState, choice: tuple[int, ...]) -> tuple[tuple[int, ...], float]:
+        """The likeliest, found by changing one actuator's hypothesis at a time, and its Σ ν_h²/s."""
+        found, cost = list(choice), self._cost(state, choice)
+        k = self._count
+        while True:
+            before = cost
+            for i in range(len(found)):
+                others = np.delete(self._columns(tuple(found)), i)
+                own = slice(i * k, (i + 1) * k)
+                # What depends on this actuator's hypothesis alone.
+                costs = -2 * state.fits[own] + np.diag(state.alike)[own] + 2 * state.alike[own, others].sum(axis=1)
+                found[i] = int(np.argmin(costs))
+            cost = self._cost(state, tuple(found))
+            if cost >= before - 1e-9 * abs(before):
+                return tuple(found), cost
