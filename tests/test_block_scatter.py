@@ -9,10 +9,11 @@ import mujoco
 import numpy as np
 import pytest
 from scipy.stats import chi2, f
+from search_on_paper import OFF, RUB, Known, OnPaper, ended, held_out_rejects
 
+from equimus_ctrl.diagnosis import confirmation
 from equimus_ctrl.diagnosis.block_scatter import BlockScatter, block_scatter, stands_out
 from equimus_ctrl.diagnosis.candidates import candidates
-from equimus_ctrl.diagnosis.confirmation import _lost_in_scatter
 from equimus_ctrl.diagnosis.fitting import Data, Fitted
 from equimus_ctrl.diagnosis.holdout import split
 from equimus_ctrl.diagnosis.hypothesis import default_free_parameters
@@ -120,6 +121,22 @@ def test_a_change_of_a_few_moments_has_as_many_blocks_and_one_of_a_sample_none()
     assert block_scatter([TIME], same, same, BLOCKS) == BlockScatter(1.0, 0.0, 0.0)
 
 
+def test_what_is_lost_in_the_scatter_is_not_named_though_held_out_trials_improve(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    known = Known({(): 5000.0, (RUB,): 1000.0, (OFF,): 4800.0, (RUB, OFF): 900.0})
+    held_out = held_out_rejects(monkeypatch, [])
+    monkeypatch.setattr(confirmation, "_makes_worse", lambda *given: None)
+    lost = confirmation.Confirmation("scatter", 0.1, dispersion=5.13)
+    monkeypatch.setattr(
+        confirmation, "_lost_in_scatter", lambda search, simple, rich: lost if OFF in rich.labels else None
+    )
+    said: dict[str, confirmation.Confirmation] = {}
+    end = confirmation.confirmed(OnPaper(known), ended(known, RUB, OFF), held_out, said.__setitem__)
+    assert end.best.labels == {RUB} and said[OFF] is lost and said[RUB].reason == "gain"
+    assert "scatter 5.13 times as much" in str(lost)
+
+
 GANTRY = """<mujoco model="gantry"><compiler angle="radian"/><option timestep="0.002" integrator="implicitfast"/>
   <worldbody><body name="trolley"><joint name="rail" type="slide" axis="1 0 0" damping="2"/>
     <geom type="box" size=".1 .08 .05" mass="1.5"/>
@@ -176,9 +193,9 @@ def test_friction_that_creeps_while_it_sticks_is_no_gain_of_another_motor(hard: 
 
     base = data.base()
     rubs = with_one_more(base, "coulomb_friction:swing")
-    assert search.accepts(base, rubs) and _lost_in_scatter(search, base, rubs) is None
+    assert search.accepts(base, rubs) and confirmation._lost_in_scatter(search, base, rubs) is None
     stronger = with_one_more(rubs, "actuator_gain:tilt")
-    said = _lost_in_scatter(search, rubs, stronger)
+    said = confirmation._lost_in_scatter(search, rubs, stronger)
     if hard:
         assert rubs.deviance - stronger.deviance < 10 and said is None
         return
