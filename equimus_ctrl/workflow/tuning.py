@@ -168,5 +168,5 @@ def _comment(controller: str, result: Any, study: Path) -> str:
     return (
         f"{result.heading}; written by `equimus-ctrl autotune {controller}`, free to edit.\n"
         f"Study {study.name}, seed {result.study.seed}, {len(result.history)} {result.noun} tried, "
-        f"cost {best.cost:.4f} (before: {result.start_evaluation.cost:.4f})."
+        f"cost {best.told} (before: {result.start_evaluation.told})."
     )
