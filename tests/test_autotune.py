@@ -158,9 +158,11 @@ def test_the_record_is_json_and_holds_everything(result: TuningResult) -> None:
     assert record["settings"] == result.settings.to_dict()
     assert eq.PidSettings.from_dict(record["settings"]) == result.settings
     assert record["evaluations"][record["best"]["index"]] == record["best"]
-    assert record["study"]["search"]["kp"] == STUDY["search"]["kp"]
+    assert record["study"]["search"]["kp"] == {**STUDY["search"]["kp"], "scale": "log"}
     assert study_from_dict({k: v for k, v in record["study"].items() if v is not None}) == result.study
     assert record["unseen"]["legs"] == 2 and len(record["unseen"]["costs"]) == 2
+    each = [e.member_costs[0] if e.stable else None for e in result.start_unseen]
+    assert record["unseen"]["start_worst"] == (None if None in each else max(each))
     assert [m["actuator"] for m in record["margins"]] == ["maa", "baa"]
     assert set(record["mujoco"][0]["rmse_rad"]) == {"hip", "knee"}
     for k, row in enumerate(record["evaluations"]):
@@ -182,7 +184,7 @@ def test_another_seed_gives_others(study: Study, problem: Problem, result: Tunin
     assert bits(other.history[1:10]) != bits(result.history[1:10])
 
 
-# Batches of this study end after 1, 7 and 25 candidates, so that 6 leaves one alone of its batch.
+# Batches of this study end after 1, 7, 16 and 25 candidates, so that 6 leaves one alone of its batch.
 @pytest.mark.parametrize("kept", [1, 6, 25, 39])
 def test_it_goes_on_with_the_same_bits(
     kept: int, study: Study, problem: Problem, result: TuningResult, rows: Rows
@@ -302,7 +304,7 @@ def test_what_the_nearest_lacked_is_told() -> None:
     assert said.startswith("none of 2 sets of gains is stable and within the limits on every leg; the nearest ")
     for part in ("overshoots by 12%", "saturated 45% of the time", "0.9981", "1.0023 with the gain margin"):
         assert part in said
-    with pytest.raises(NothingFeasible, match="stopped before any set of gains was tried"):
+    with pytest.raises(NothingFeasible, match="stopped before any sets of gains were tried"):
         best_feasible([])
 
 

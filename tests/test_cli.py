@@ -23,6 +23,7 @@ from equimus_ctrl.cli import autotune
 from equimus_ctrl.cli.main import app, main
 from equimus_ctrl.controllers.registry import CONTROLLERS
 from equimus_ctrl.plants.registry import PLANTS
+from equimus_ctrl.workflow.plugins import known
 
 
 @pytest.fixture
@@ -100,18 +101,19 @@ def test_every_example_can_be_followed(path: tuple[str, ...], line: str) -> None
     scenarios = presets.names("scenarios", ".py")
     for name in [found.get("scenario")] if isinstance(found.get("scenario"), str) else found.get("scenario") or ():
         assert name in scenarios
-    given = found.get("controller") or ()
-    for controller in [given] if isinstance(given, str) else given:
-        assert controller in CONTROLLERS or callable(presets.load_object(_from_checkout(controller)))
-    assert found.get("plant") is None or found["plant"] in PLANTS
-    known = dict(effects.REGISTRY)
+    before = [(registry, dict(registry)) for registry in known()]
     try:
         eq.load_plugins([Path(__file__).resolve().parents[1] / file for file in found.get("plugins") or ()])
+        given = found.get("controller") or ()
+        for controller in [given] if isinstance(given, str) else given:
+            assert controller in CONTROLLERS or callable(presets.load_object(_from_checkout(controller)))
+        assert found.get("plant") is None or found["plant"] in PLANTS
         for text in found.get("effect") or ():
             assert isinstance(effects.parse(text), eq.Effect)
     finally:
-        effects.REGISTRY.clear()
-        effects.REGISTRY.update(known)
+        for registry, held in before:
+            registry.clear()
+            registry.update(held)
 
 
 def _from_checkout(controller: str) -> str:

@@ -279,7 +279,7 @@ def test_a_wrong_tuning_is_a_sentence(
 def test_a_study_of_the_compiled_loop_is_of_the_pid_alone(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     pid = Path(__file__).parents[1] / "tuning" / "pid.toml"
     assert main(["autotune", "lqr", "--study", str(pid)]) == 2
-    assert "format is 'equimus-ctrl/tuning/1', which is of the PID alone" in " ".join(capsys.readouterr().err.split())
+    assert "format is 'equimus-ctrl/tuning/1', which is of pid alone" in " ".join(capsys.readouterr().err.split())
 
 
 def test_what_is_searched_needs_a_file_of_settings() -> None:

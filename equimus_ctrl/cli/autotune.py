@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from math import isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -43,7 +44,7 @@ def autotune(
     equimus-ctrl autotune nmpc --budget 120 --json
     equimus-ctrl autotune pid --model corrected.toml
     equimus-ctrl autotune lqr --model robot.xml --candidates 20
-    equimus-ctrl autotune leaning --plugin my_plugin.py --scenario hold
+    equimus-ctrl autotune leaning --plugin docs/examples/plugin.py --scenario hold
     """  # noqa: D301
     _tune(controller, study, model, plugins, options, figures, as_json)
 
@@ -172,7 +173,7 @@ def _before_and_after(result: Any) -> Any:
     table = Table(title="Before and after, over the ensemble", title_justify="left")
     for name in ("", "first", "tuned"):
         table.add_column(name, justify="right" if name else "left")
-    table.add_row("cost", f"{start.cost:.4f}", f"{best.cost:.4f}")
+    table.add_row("cost", start.told, best.told)
     for key, value in best.terms.items():
         table.add_row(f"  {key}", f"{start.terms[key]:.4f}", f"{value:.4f}")
     table.add_row("largest overshoot", f"{start.overshoot:.1%}", f"{best.overshoot:.1%}")
@@ -185,7 +186,10 @@ def _before_and_after(result: Any) -> Any:
         table.add_row(f"stable on {unseen} unseen robots", str(before), str(after))
         first, tuned = summed(result.start_unseen), summed(result.unseen)
         for key in ("median", "worst"):
-            table.add_row(f"  {key} cost on these", f"{first[key]:.4f}", f"{tuned[key]:.4f}")
+            table.add_row(
+                f"  {key} cost on these",
+                *(f"{own[key]:.4f}" if isfinite(own[key]) else "unstable" for own in (first, tuned)),
+            )
     return table
 
 

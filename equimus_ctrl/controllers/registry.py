@@ -54,6 +54,7 @@ class ControllerEntry:
         needs: what a robot has to offer it, see ``Robot.offers``.
         plays: whether it needs that only where a scenario has no commands to play.
         search: what a tuning may change of its settings, see ``controllers.search_space``; None where nothing.
+        compiled: whether the compiled loop of robots with elastic actuators holds it (``tuning.closed_loop``).
     """
 
     summary: str
@@ -63,6 +64,7 @@ class ControllerEntry:
     needs: frozenset[Need] = frozenset()
     plays: bool = False
     search: Search | None = None
+    compiled: bool = False
 
     def __post_init__(self) -> None:
         if self.search is not None and self.settings is None:
@@ -159,7 +161,12 @@ register_controller(
 register_controller(
     "pid",
     ControllerEntry(
-        "PID on joints or actuator lengths with feed-forward", _pid, "pid.toml", needs=EXACT, search=placed_space
+        "PID on joints or actuator lengths with feed-forward",
+        _pid,
+        "pid.toml",
+        needs=EXACT,
+        search=placed_space,
+        compiled=True,
     ),
 )
 register_controller(

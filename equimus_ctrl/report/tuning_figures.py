@@ -50,9 +50,8 @@ def convergence_figure(result: TuningResult) -> Figure:
     allowed = [t for t in trials if t.evaluation.feasible]
     costs = np.array([t.evaluation.cost for t in allowed])
     low = costs.min()
-    high = max(
-        low + 1.15 * (np.quantile(costs, 0.9) - low), result.start_evaluation.cost if allowed else low, low + 1e-3
-    )
+    begun = result.start_evaluation
+    high = max(low + 1.15 * (np.quantile(costs, 0.9) - low), begun.cost if begun.feasible else low, low + 1e-3)
     top = high + 0.06 * (high - low)
     handles = []
     for stage, (label, colour) in STAGES.items():
@@ -76,14 +75,14 @@ def convergence_figure(result: TuningResult) -> Figure:
             )
         )
     best = np.minimum.accumulate([t.evaluation.cost if t.evaluation.feasible else np.inf for t in trials])
-    axes.plot(np.arange(len(trials)), np.minimum(best, high), color=style.INK, linewidth=1.6, zorder=4)
+    axes.plot(np.arange(len(trials)), np.where(best > high, np.nan, best), color=style.INK, linewidth=1.6, zorder=4)
     handles.append(Line2D([], [], color=style.INK, linewidth=1.6, label="best so far"))
     axes.set_ylim(low - 0.06 * (high - low), top + 0.05 * (high - low))
-    before, after = result.start_evaluation.cost, result.best.evaluation.cost
+    before, after = begun.told, result.best.evaluation.told
     robots = len(result.problem.members)
     style.dress(
         axes,
-        title=f"cost {before:.3f} before, {after:.3f} after {len(trials)} {result.noun} on {robots} robots",
+        title=f"cost {before} before, {after} after {len(trials)} {result.noun} on {robots} robots",
         x=f"{result.noun}, in the order tried",
         y="cost",
     )

@@ -189,7 +189,7 @@ def best_feasible(
             "the gain margin at every pose along the moving references"
         )
     if not history:
-        raise NothingFeasible(f"the search was stopped before any of the {noun} was tried")
+        raise NothingFeasible(f"the search was stopped before any {noun} were tried")
     nearest = min(history, key=lambda trial: trial.evaluation.cost).evaluation
     why = (
         f"is unstable on some {member}"

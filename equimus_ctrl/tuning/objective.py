@@ -125,7 +125,7 @@ class Evaluation:
         member_costs: (n_members,) cost of each leg.
         overshoot: largest over the ensemble, as a share of the step.
         saturation: largest over the ensemble.
-        modulus: largest eigenvalue of the linearised sampled loops; NaN where a run already failed.
+        modulus: largest eigenvalue of the linearised sampled loops; NaN where a run failed, 0 of none.
         raised_modulus: the same with all gains raised by the gain margin asked for.
         stable: False where any leg diverged, would not come to rest, or has a loop that is not stable.
         feasible: stable and within the limits.
@@ -140,6 +140,11 @@ class Evaluation:
     raised_modulus: float
     stable: bool
     feasible: bool
+
+    @property
+    def told(self) -> str:
+        """Its cost for people, who have no use for a penalty."""
+        return f"{self.cost:.4f}" if self.feasible else "beyond a limit" if self.stable else "unstable"
 
     def to_dict(self) -> dict[str, Any]:
         """Plain types, for a journal."""

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from equimus_ctrl import presets
-from equimus_ctrl.controllers.registry import tunable
+from equimus_ctrl.controllers.registry import CONTROLLERS, tunable
 from equimus_ctrl.errors import ConfigError
 from equimus_ctrl.models.model import Model, nominal_model
 from equimus_ctrl.options import AutotuneOptions, with_changes
@@ -128,7 +128,7 @@ def _ways(controller: str, path: Path, on_plant: bool) -> tuple[Callable[..., An
     """What makes the problem of a study, what its journal is known by, and what tunes.
 
     Raises:
-        ConfigError: for another controller than the PID on its compiled loop.
+        ConfigError: for a controller that the compiled loop does not hold.
     """
     if on_plant:
         from equimus_ctrl.tuning import plant_tuning
@@ -142,8 +142,9 @@ def _ways(controller: str, path: Path, on_plant: bool) -> tuple[Callable[..., An
     from equimus_ctrl.tuning import autotune as compiled
     from equimus_ctrl.tuning.study import FORMAT, ON_PLANT
 
-    if controller != "pid":
-        raise ConfigError(f"{path}: format is {FORMAT!r}, which is of the PID alone; expected {ON_PLANT!r}")
+    if not CONTROLLERS.entry(controller).compiled:
+        able = ", ".join(name for name, entry in CONTROLLERS.items() if entry.compiled)
+        raise ConfigError(f"{path}: format is {FORMAT!r}, which is of {able} alone; expected {ON_PLANT!r}")
     return compiled.make_problem, compiled.study_key, compiled.autotune
 
 
@@ -168,5 +169,5 @@ def _comment(controller: str, result: Any, study: Path) -> str:
     return (
         f"{result.heading}; written by `equimus-ctrl autotune {controller}`, free to edit.\n"
         f"Study {study.name}, seed {result.study.seed}, {len(result.history)} {result.noun} tried, "
-        f"cost {best.cost:.4f} (before: {result.start_evaluation.cost:.4f})."
+        f"cost {best.told} (before: {result.start_evaluation.told})."
     )
