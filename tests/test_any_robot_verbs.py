@@ -311,3 +311,18 @@ def test_a_base_whose_motion_recordings_tell_is_refused_by_a_run_as_such(ran: Ra
     assert code == 2 and "from recordings by --prescribe root" in err
     code, _, err = ran("hold", "--model", "free.xml", "--prescribe", "root")
     assert code == 2 and "root.turn_x is an input from recordings, which a run does not have" in err
+
+
+# --- what a robot's description asks of scenarios ------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("table", "said"),
+    [
+        ({"push": {"torqe": 0.4}}, "scenarios.push: there is no option 'torqe'; did you mean 'torque'?"),
+        ({"push": {"torque": "much"}}, "scenarios.push: option torque is 'much', expected float"),
+        ({"puhs": {"torque": 0.4}}, "scenarios: there is no scenario 'puhs'; did you mean 'push'?"),
+    ],
+)
+def test_what_a_description_misspells_of_scenarios_is_told(table: dict[str, dict[str, float | str]], said: str) -> None:
+    assert said in refusal(lambda: built("push", replace(nominal_leg(), scenarios=table)))

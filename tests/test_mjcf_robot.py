@@ -207,6 +207,8 @@ def test_joints_and_actuators_are_told() -> None:
     [
         ('<motor name="motor" joint="way"/>', "N", "1"),
         ('<general name="motor" joint="way" gainprm="3"/>', "1", "N"),
+        ('<motor name="motor" joint="way" gear="10"/>', "1", "N"),
+        ('<motor name="motor" joint="way" gear="-1"/>', "N", "1"),
         ('<position name="motor" joint="way" kp="3"/>', "m", None),
         ('<general name="motor" joint="way" gainprm="3" biastype="affine" biasprm="0 -2 0"/>', "m", "N/m"),
     ],

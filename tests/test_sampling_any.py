@@ -102,6 +102,11 @@ def test_geoms_of_a_body_and_its_parent_do_not_touch() -> None:
         'size="0.1"/></body>', 'size="0.1"/><body><joint name="third"/><geom name="h" size="0.1"/></body></body>'
     )
     assert can_touch(realise(Model(MjcfRobot("deeper", deeper))).mujoco) == "contacts (ball may touch h)"
+    named = deeper.replace('<body><joint name="third"', '<body name="c"><joint name="third"')
+    named = named.replace('<body pos="0 0 0.2">', '<body name="a" pos="0 0 0.2">')
+    for pair in (("a", "c"), ("c", "a")):
+        apart = named.replace("</mujoco>", '<contact><exclude body1="{}" body2="{}"/></contact></mujoco>'.format(*pair))
+        assert not can_touch(realise(Model(MjcfRobot("apart", apart))).mujoco)
 
 
 def test_a_rollout_that_mujoco_gives_up_is_lost_and_not_repeated() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import sys
 import warnings
 from typing import Annotated
@@ -76,6 +77,10 @@ def _root(
 def main(arguments: list[str] | None = None) -> int:
     """Run the command with ``arguments`` (those of the process by default) and return its exit code."""
     warnings.showwarning = _show_warning  # type: ignore[assignment]
+    told = logging.getLogger("equimus_ctrl")
+    if not told.handlers:
+        told.addHandler(_ToPeople())
+        told.setLevel(logging.INFO)
     try:
         app(args=arguments, prog_name="equimus-ctrl")
     except SystemExit as stop:
@@ -84,6 +89,14 @@ def main(arguments: list[str] | None = None) -> int:
         print(f"equimus-ctrl: {error}", file=sys.stderr)
         return 3 if type(error).__name__ in ("NothingFeasible", "SimulationDiverged", "HardwareFault") else 2
     return 0
+
+
+class _ToPeople(logging.Handler):
+    """What takes its time is told on standard error, wherever that goes just then."""
+
+    def emit(self, record: logging.LogRecord) -> None:
+        """A line."""
+        print(record.getMessage(), file=sys.stderr)
 
 
 def _show_warning(message: Warning | str, category: type[Warning], filename: str, lineno: int, *_: object) -> None:

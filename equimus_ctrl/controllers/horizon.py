@@ -101,17 +101,18 @@ class HorizonSettings:
         return Weights(self.angle, self.rate, self.pressure, self.limit)
 
     def joint_range(self, spec: PlantSpec) -> Array:
-        """(2, nj) the soft range of the joints [rad].
+        """(2, nj) the soft range of the joints [rad or m].
 
         Raises:
             ConfigError: where the margin leaves nothing of it.
         """
         low, high = np.array(spec.joint_low) + self.margin, np.array(spec.joint_high) - self.margin
-        for name, least, most in zip(spec.joints, low, high, strict=True):
+        for name, unit, least, most in zip(spec.joints, spec.joint_units, low, high, strict=True):
             if least >= most:
+                moves = "slides" if unit == "m" else "turns"
                 raise ConfigError(
-                    f"margin is {self.margin:g} rad, but {name} turns from {least - self.margin:.4g} to "
-                    f"{most + self.margin:.4g} rad only"
+                    f"margin is {self.margin:g} {unit}, but {name} {moves} from {least - self.margin:.4g} to "
+                    f"{most + self.margin:.4g} {unit} only"
                 )
         return np.vstack([low, high])
 

@@ -7,6 +7,7 @@ the same numbers.
 from __future__ import annotations
 
 import hashlib
+import logging
 import os
 import platform
 import shutil
@@ -20,6 +21,7 @@ import casadi as ca
 from equimus_ctrl.engines.compiled import cache_folder
 
 FLAGS = ("-O2", "-fPIC", "-shared", "-ffp-contract=off")
+LOG = logging.getLogger(__name__)
 LONGEST = 300.0
 """A compiler that takes longer is given up [s]."""
 
@@ -55,6 +57,7 @@ def _library(text: str, entry: str, name: str, with_compiler: str, folder: Path)
     key = hashlib.sha256(repr((text, FLAGS, with_compiler, platform.machine(), platform.system())).encode()).hexdigest()
     path = folder / f"equimus_{name}_{key[:20]}.so"
     if not path.exists():
+        LOG.info("compiling %s, %.1f MB of C, once for a robot like this …", entry, len(text) / 1e6)
         with tempfile.TemporaryDirectory(dir=folder) as scratch:
             source, made = Path(scratch) / "native.c", Path(scratch) / "native.so"
             source.write_text(text, encoding="utf-8")

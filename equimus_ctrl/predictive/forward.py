@@ -91,6 +91,9 @@ def can_touch(model: Any) -> str:
     if not int(model.opt.disableflags) & int(mujoco.mjtDisableBit.mjDSBL_FILTERPARENT):
         near |= (above[:, None] == own[None]) & (own[None] > 0) | (own[:, None] == above[None]) & (own[:, None] > 0)
     pairs = np.argwhere((meets != 0) & ~near)
+    if model.nexclude and len(pairs):  # by bodies, and of no pair that is named
+        bodies = np.sort(body[pairs], axis=1).astype(np.int64)
+        pairs = pairs[~np.isin((bodies[:, 0] << 16) + bodies[:, 1], model.exclude_signature)]
     if model.npair:
         pairs = np.concatenate([pairs, np.column_stack([model.pair_geom1, model.pair_geom2])])
     if not len(pairs):

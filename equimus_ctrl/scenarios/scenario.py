@@ -153,11 +153,12 @@ def build_scenario(
         **{OPTION + key if key in joints else key: default for key, default in own.items()},
     }
     described = context.robot.scenario_options.get(name, {})
-    usual = {
-        key: _read_option(key, text, type(own.get(key, 0.0)), where)
-        for key, text in described.items()
-        if key in own or key in joints
-    }
+    usual = {}
+    for key, text in described.items():
+        at = f"{context.robot.name}: scenarios.{name}"
+        if key not in own and key not in joints:
+            raise ConfigError(unknown_name("option", key, [*own, *joints], at))
+        usual[key] = _read_option(key, text, type(own.get(key, 0.0)), at)
     values: dict[str, Any] = {}
     for key, text in (options or {}).items():
         if key in own and key in joints:

@@ -12,7 +12,7 @@ from equimus_ctrl import presets
 from equimus_ctrl.controllers.custom import as_controller
 from equimus_ctrl.controllers.registry import CONTROLLERS, make_controller
 from equimus_ctrl.effects.base import Effect
-from equimus_ctrl.errors import ConfigError, SimulationDiverged
+from equimus_ctrl.errors import ConfigError, SimulationDiverged, unknown_name
 from equimus_ctrl.models.kinematics import Kinematics
 from equimus_ctrl.models.model import Model, nominal_model
 from equimus_ctrl.plants.hardware.settings import HardwareSettings
@@ -89,6 +89,9 @@ def load_scenario(
     Raises:
         ConfigError: where there is no such scenario, or an option does not fit.
     """
+    for described in robot.scenario_options:
+        if described not in (known := scenario_entries()):
+            raise ConfigError(unknown_name("scenario", described, known, f"{robot.name}: scenarios"))
     find = recordings_of(recordings) if search else (lambda kind: ())
     context = ScenarioContext(robot, phase, find, locate.missing_hint(), tuple(effects), read_path)
     return scenario_entry(name).scenario(context, options)

@@ -157,7 +157,9 @@ def _kind(base: Any, i: int, axis: Axis, at_joint: bool, given: str) -> tuple[bo
         return servo, "1"
     if int(base.actuator_dyntype[i]) == int(mujoco.mjtDyn.mjDYN_INTEGRATOR):
         return servo, f"{position_unit}/s" if servo else "1"
-    unit = position_unit if servo else force_unit if not affine and base.actuator_gainprm[i, 0] == 1 else "1"
+    # What a gain or a gear multiplies is a control signal.
+    plain = not affine and base.actuator_gainprm[i, 0] == 1 and abs(base.actuator_gear[i, 0]) == 1
+    unit = position_unit if servo else force_unit if plain else "1"
     return servo, f"{position_unit}/s" if affine and not servo and bias[2] != 0 else unit
 
 
