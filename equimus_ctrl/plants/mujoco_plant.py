@@ -369,8 +369,7 @@ class MujocoPlant:
             return 0.0
         step = min(int(place), self._step_count - 1)
         before, after = (float(self._past[j, k % self._past.shape[1], 1]) for k in (step, step + 1))
-        rate: float = before + (place - step) * (after - before)
-        return rate
+        return float(before + (place - step) * (after - before))
 
     def _measure(self) -> None:
         self._stamp = self._step_count * self._dt
