@@ -217,7 +217,7 @@ def swing_up() -> Work:
         "nmpc": lambda seed: eq.NmpcController(eq.NmpcSettings(nodes=40, stride=5, iterations=20)),
         "sampling": lambda seed: eq.SamplingController(eq.AnySamplingSettings(seed=seed)),
         "do-mpc": lambda seed: DoMpc(0.3, 10.0, 0.5, nodes=50, stride=4, every=4, settle=0.5, wraps=(1,)),
-        "judo": lambda seed: Judo(CARTPOLE, 0.3, 3.0, 1.0, 0.3, 1.2, seed, "mppi", nodes=6, every=2, wraps=(1,)),
+        "judo": lambda seed: Judo(CARTPOLE, 0.3, 3.0, 1.0, 0.5, 1.2, seed, "cem", nodes=6, every=2, wraps=(1,)),
     })  # fmt: skip
 
 
