@@ -156,6 +156,5 @@ class PidController:
             state.constants,
             memory,
             command,
-            bool(now - state.begun >= s.start_lasts(spec.model)),
         )
         return frozen_array(command), replace(state, memory=memory, offset=offset, inverse_state=following)

@@ -7,11 +7,10 @@ pose, y the measured one:
     D ← D + dt/(T_f + dt)·(Δ(c z(r) − z(y))/dt − D)
     w = k_p (b z(r) − z(y)) + I + k_d D
     P = clip(P_fed + map(w))
-    I ← I + dt k_i e + (dt/T_t) unmap(P − P_asked)     where k_i > 0, e from when the start is over
+    I ← I + dt k_i e + (dt/T_t) unmap(P − P_asked)     where k_i > 0
 
 where map turns a channel's effort into pressures: force/area for a length, the least-norm pressures of the joint
-torques for angles. At the start a robot that waits for its first command is away from r whatever the model is worth;
-what would be gathered of that takes as long to undo as the loop's slowest mode. P_fed are the static pressures of r, or come with r from ``controllers.inverse``. Two-degree-of-
+torques for angles. P_fed are the static pressures of r, or come with r from ``controllers.inverse``. Two-degree-of-
 freedom form, derivative filter and back-calculation follow Åström & Hägglund, "Advanced PID Control" (2006).
 """
 
@@ -128,7 +127,6 @@ def pid_command(
     c: Array,
     state: Array,
     command: Array,
-    integrates: bool,
 ) -> None:
     """One control step: write the next command (na,) [Pa] and advance ``state`` (see ``pid_start``).
 
@@ -144,7 +142,6 @@ def pid_command(
         c: the nominal model's constants.
         state: advanced.
         command: (na,) written [Pa].
-        integrates: whether errors are integrated; what a limit takes away goes back to the integral in any case.
     """
     nz = state.shape[1]
     zr, zy, w = np.empty(nz), np.empty(nz), np.empty(nz)
@@ -167,5 +164,4 @@ def pid_command(
     for i in range(nz):
         share = min(dt / gains[TRACKING, i], 1.0) if gains[TRACKING, i] > 0.0 else 1.0
         if gains[KI, i] > 0.0:
-            gathered = dt * gains[KI, i] * (zr[i] - zy[i]) if integrates else 0.0
-            state[INTEGRAL, i] += gathered + share * w[i]
+            state[INTEGRAL, i] += dt * gains[KI, i] * (zr[i] - zy[i]) + share * w[i]

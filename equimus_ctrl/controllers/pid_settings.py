@@ -82,12 +82,6 @@ class PidSettings:
         if self.inverse and not self.feedforward:
             raise ConfigError("inverse is true, which is a way to feed forward, but feedforward is false")
 
-    def start_lasts(self, robot: Robot) -> float:
-        """From when on errors are integrated [s]: the first pose has faded out of the reference, and what was fed
-        forward until then has come through valves that are usual.
-        """
-        return self.start_time + robot.traits.usual_delay + robot.traits.usual_lag
-
     def channels(self, spec_or_robot: PlantSpec | Robot) -> tuple[str, ...]:
         """Names of the channels on a robot: its actuators or its joints."""
         if isinstance(spec_or_robot, Robot):

@@ -212,7 +212,6 @@ def _track_block(nominal: Morphology, phase: Phase, course: Course, loops: Seque
         settings.space == "length",
         settings.feedforward,
         float(settings.start_time),
-        settings.start_lasts(nominal),
         np.arange(n) * course.control_dt,
         course.reference,
         np.array([plan.shown for plan in plans]).reshape(k, -1, nj),

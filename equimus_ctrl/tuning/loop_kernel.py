@@ -92,7 +92,6 @@ def run_loop(
     lengths: bool,
     feedforward: bool,
     start_time: float,
-    start_lasts: float,
     times: Array,
     reference: Array,
     shown: Array,
@@ -135,7 +134,6 @@ def run_loop(
         lengths: whether channels are actuator lengths, else joint angles.
         feedforward: whether the controller adds the static pressures, where nothing is planned.
         start_time: of the bumpless blend [s].
-        start_lasts: from when on errors are integrated, see ``PidSettings`` [s].
         times: (n,) control instants [s].
         reference: (n, nj) at each of them [rad].
         shown: (k, n, nj) what the sensors show of it and (k, n, na) what is fed forward where that is planned, see
@@ -189,7 +187,7 @@ def run_loop(
                         held[l, j] = follow(held[l, j], seen, sensor[l, j, PLAY])
         if now == n:
             break
-        weight, integrates = blend(times[now], start_time), times[now] >= start_lasts
+        weight = blend(times[now], start_time)
         running = 0
         for l in range(k):  # noqa: E741
             if sound[l] < n:
@@ -221,9 +219,7 @@ def run_loop(
                 for j in range(N_JOINTS):
                     r[j] = reference[now, j] + weight * offset[l, j]
                 static_feed(r, feedforward, nominal, fed)
-            pid_command(
-                r, y, fed, gains[l], lengths, low, high, control_dt, nominal, memory[l], out_command[l, now], integrates
-            )
+            pid_command(r, y, fed, gains[l], lengths, low, high, control_dt, nominal, memory[l], out_command[l, now])
             shape_command(shaping, out_command[l, now], arriving)
             for i in range(N_ACTUATORS):
                 reaches[l, i, now] = arriving[i]
