@@ -109,7 +109,7 @@ def test_it_follows_a_smooth_reference_through_lags_and_delays_that_it_knows() -
     late = KNOWN["late"]
     known = rmse(tracked(late, late), 3.0)
     assert np.all(known < 2e-4)
-    assert np.all(known < 0.1 * rmse(tracked(late, LAG), 3.0))  # knowing a delay is worth it
+    assert np.all(known < 0.1 * rmse(tracked(late, LAG, estimate_valves=False), 3.0))  # knowing a delay is worth it
     assert np.all(rmse(tracked(late, late, integral=0.05), 3.0) < 5e-3)
     assert np.all(rmse(tracked(late, late, noise=2e-3)) < 3e-3)  # the measurement's own included
 

@@ -120,7 +120,7 @@ def test_valves_that_nobody_told_of_cost_little_once_they_are_found(effects: tup
 @pytest.mark.slow
 def test_the_nmpc_finds_them_too() -> None:
     done = followed(LATE, NmpcController(NmpcSettings(nodes=15)), 3.0)
-    assert "valves were found" in done.note and np.all(rmse(done) < 3e-3)
+    assert "valves were found" in done.note and np.all(rmse(done) < 5e-3)
 
 
 @pytest.mark.slow
