@@ -217,7 +217,7 @@ def test_a_wrong_type_on_the_topic_is_named() -> None:
     from cyclonedds.pub import DataWriter
     from cyclonedds.topic import Topic
 
-    wire = Wire(domain=DOMAIN, states="/wrong")
+    wire = Wire(domain=DOMAIN, states="/wrong", commands="/commands")
     participant = DomainParticipant(DOMAIN)
     writer = DataWriter(participant, Topic(participant, "rt/wrong", messages.Float64MultiArray))
     host = DdsHost(wire)

@@ -70,7 +70,7 @@ class _End:
 
     def __init__(self, wire: Wire, read: tuple[str, type, Qos], write: tuple[str, type, Qos]) -> None:
         if not (read[0] and write[0]):
-            raise ConfigError("the topic of commands has no name, expected one such as that of interface_of")
+            raise ConfigError("a topic of the wire has no name, expected one such as /joint_states")
         self._arriving = _Arriving()
         self._writer: Any = None
         self._written = topic_of(write[0])
