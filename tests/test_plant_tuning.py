@@ -6,6 +6,7 @@ import json
 from dataclasses import replace
 from pathlib import Path
 
+import cloudpickle
 import numpy as np
 import pytest
 from mjcf_models import RIG, pendulum, refusal
@@ -38,6 +39,13 @@ def problem() -> PlantProblem:
     study, model = quick(), Model(ARM)
     scenarios = [workflow.load_scenario(o.scenario, ARM, search=False) for o in study.objectives]
     return make_plant_problem(study, model, scenarios)
+
+
+def test_a_problem_judges_loops_alike_in_another_process(problem: PlantProblem) -> None:
+    there = cloudpickle.loads(cloudpickle.dumps(problem))
+    assert problem.space.growth is not None
+    looked_at = problem.first.table, problem.members[1], problem.poses(), (1.0, 2.0)
+    assert there.space.growth(*looked_at) == problem.space.growth(*looked_at)
 
 
 def test_members_are_the_model_the_latest_and_others_within_the_spread() -> None:

@@ -157,6 +157,10 @@ class Dynamics:
         self._inside = np.where(both, (ends[0] + ends[1]) / 2, np.clip(0.0, *ends))
         self._weights = np.where(both & (ends[0] < ends[1]), (ends[1] - ends[0]) / 2, 1.0)
 
+    def __reduce__(self) -> tuple[type[Dynamics], tuple[Model]]:
+        # CasADi's buffers stay in their process; what was worked out is worked out again elsewhere.
+        return Dynamics, (self.model,)
+
     def _joint(self, values: Array) -> Array:
         """(nj, …) of the form's coordinates as the robot's joints are ordered."""
         return np.array(values[self._joints])
