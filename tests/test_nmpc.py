@@ -159,7 +159,8 @@ def test_random_states_and_references_all_get_a_command() -> None:
                 # Anywhere, moving and pushed.
                 mean = [*rng.uniform(low, high), *rng.uniform(-3, 3, 2), *rng.uniform(0, 5e4, 2)]
                 mean += rng.uniform(-0.3, 0.3, 2).tolist()
-                state = replace(first, observer=replace(first.observer, mean=np.array(mean)))
+                known = replace(first.observer, mean=np.array(mean))
+                state = replace(first, observer=known, watched=known)
                 reference = HoldReference(rng.uniform(low - 0.5, high + 0.5))
             seen = state.observer.mean[:2]
             observation = replace(observation, time=at, stamp=at, position=seen, command=rng.uniform(0, 5e4, 2))

@@ -292,7 +292,9 @@ class Problem:
         )  # fmt: skip
         beyond = self._beyond(plan.states[1:, : self._ranged])
         if beyond.any():
-            cost += 0.5 * float((self._soft * beyond**2).sum())
+            # A motion that overflows has left every bound; its cost says so.
+            with np.errstate(over="ignore", invalid="ignore"):
+                cost += 0.5 * float((self._soft * beyond**2).sum())
         size = np.abs(gap)
         seen = size[:, : len(self._allowed)].max(axis=0) / self._allowed
         return _Linearised(cost, float(seen.max()), size.sum(axis=0), by_x)
