@@ -18,7 +18,7 @@ from equimus_ctrl.controllers.pid_settings import PidSettings
 from equimus_ctrl.controllers.placement import Loop, placed_gains
 from equimus_ctrl.controllers.sampling import SamplingSettings
 from equimus_ctrl.controllers.sampling_any import AnySamplingSettings
-from equimus_ctrl.controllers.search_space import Growth, Range, SearchSpace, Table
+from equimus_ctrl.controllers.search_space import Range, SearchSpace, Table
 from equimus_ctrl.effects.sensors import SENSOR_DELAY, sensor_settings
 from equimus_ctrl.errors import ControllerError, NotAvailable
 from equimus_ctrl.models.dynamics import Dynamics
@@ -90,15 +90,13 @@ def nmpc_space(spec: PlantSpec, pose: Array) -> SearchSpace:
     return _regulated(NmpcSettings(), spec, pose)
 
 
-def _regulated(
-    settings: LqrSettings | NmpcSettings, spec: PlantSpec, pose: Array, growth: Growth | None = None
-) -> SearchSpace:
+def _regulated(settings: LqrSettings | NmpcSettings, spec: PlantSpec, pose: Array) -> SearchSpace:
     bandwidth = allowances(spec, settings, pose).bandwidth / (2 * np.pi)
     if not bandwidth:
-        return _about(settings, ALLOWED, growth)
+        return _about(settings, ALLOWED)
     low, high = BANDWIDTH
     ranges = {"bandwidth": Range(low * bandwidth, high * bandwidth, bandwidth)}
-    return SearchSpace(ranges, settings.to_dict(), growth=growth)
+    return SearchSpace(ranges, settings.to_dict())
 
 
 def sampling_space(spec: PlantSpec, pose: Array) -> SearchSpace:
@@ -108,9 +106,7 @@ def sampling_space(spec: PlantSpec, pose: Array) -> SearchSpace:
     return _about(AnySamplingSettings(), SAMPLED_ANY)
 
 
-def _about(
-    settings: FileSettings, factors: Mapping[str, tuple[float, float]], growth: Growth | None = None
-) -> SearchSpace:
+def _about(settings: FileSettings, factors: Mapping[str, tuple[float, float]]) -> SearchSpace:
     """Ranges about what settings say."""
     table = settings.to_dict()
     ranges = {}
@@ -119,4 +115,4 @@ def _about(
         for key in name.split("."):
             start = start[key]
         ranges[name] = Range(low * start, high * start, start)
-    return SearchSpace(ranges, table, growth=growth)
+    return SearchSpace(ranges, table)
