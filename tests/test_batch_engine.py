@@ -125,14 +125,14 @@ def test_a_lanes_equations_of_motion_are_newtons(name: str, phase: Phase) -> Non
     rows[pressures : pressures + na] = rng.uniform(0, 5e4, (na, LANES))
     for lane, m in enumerate(robots):
         p = np.concatenate([pack(m), law_parameters(laws, [], m.joint_names, m.actuator_names)])
-        lanes.functions.prepare_lane(lanes.robot, p, w, lane)
-    lanes.functions.lane_start(lanes.robot, w)
-    lanes.functions.lane_gaps(lanes.robot, w)
+        lane_functions.prepare_lane(lanes.robot, p, w, lane)
+    lane_functions.lane_start(lanes.robot, w)
+    lane_functions.lane_gaps(lanes.robot, w)
     pressed, gaps = (rows[row : row + 2 * nj] for row in (pressing, asking))
     pressed[:] = gaps > 0
     assert 0 < pressed.sum() < pressed.size
-    lanes.functions.lane_grips(lanes.robot, w)
-    lanes.functions.lane_motion(lanes.robot, w)
+    lane_functions.lane_grips(lanes.robot, w)
+    lane_functions.lane_motion(lanes.robot, w)
     for lane, m in enumerate(robots):
         q, v = rows[x:][: 2 * nj, lane].reshape(2, nj)
         pressure = rows[pressures:][:na, lane]

@@ -25,6 +25,7 @@ from equimus_ctrl.effects import (
     make,
 )
 from equimus_ctrl.effects.force import force_laws
+from equimus_ctrl.engines import lane_functions
 from equimus_ctrl.engines.batch import simulate
 from equimus_ctrl.engines.encoding import encode
 from equimus_ctrl.engines.lane_equations import load_lanes
@@ -63,10 +64,10 @@ def states(model: Model, q0: Array, v0: Array, pressure: Array, until: float, dt
     lanes = load_lanes(form, model.phase, force_laws())
     nj, steps, w = len(q0), round(until / dt), lanes.work()
     for lane in range(LANES):
-        lanes.functions.prepare_lane(lanes.robot, coded.parameters[0], w, lane)
+        lane_functions.prepare_lane(lanes.robot, coded.parameters[0], w, lane)
     rows = w.reshape(-1, LANES)
     rows[lanes.robot[ROW_X] :][: 2 * nj] = np.concatenate([q0, v0])[:, None]
-    lanes.functions.lane_start(lanes.robot, w)
+    lane_functions.lane_start(lanes.robot, w)
     drive = np.zeros((steps, 2, len(pressure) * LANES))
     drive[:, 0] = np.repeat(pressure, LANES)
     out = np.empty((steps + 1, 2 * nj * LANES))

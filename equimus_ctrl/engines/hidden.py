@@ -145,7 +145,7 @@ def led_states(
         return np.empty((0, 0))
     at, q0, v0 = start
     found = np.empty((len(at), lanes.n_states * LANES))
-    lanes.kernel.led_starts(
+    lanes.kernel.hidden_starts(
         lanes.robot, parameters, times, given.commands, given.before, given.valve, given.follow, led.integrals, sensor,
         led.times, led.motion, led.reading, q0, v0, at, dt, linear, found,
     )  # fmt: skip

@@ -68,13 +68,11 @@ class Lanes:
     Attributes:
         robot: (n,) what kernels take as their first argument, see ``engines.lane_functions``.
         kernel: ``engines.lane_kernel``, compiled.
-        functions: ``engines.lane_functions``, compiled.
         key: says what the functions were made from.
     """
 
     robot: lane_functions.Layout
     kernel: ModuleType
-    functions: ModuleType
     key: str
 
     @property
@@ -115,9 +113,8 @@ class Lanes:
 @lru_cache(maxsize=64)
 def load_lanes(form: Structure, phase: Phase, laws: Laws) -> Lanes:
     """The equations of a structure with force laws wherever they can sit, for the lane kernels."""
-    modules = lane_modules()
     robot, key = _lane_model(form, phase, laws)
-    return Lanes(robot, modules[lane_kernel.__name__], modules[lane_functions.__name__], key)
+    return Lanes(robot, lane_modules()[lane_kernel.__name__], key)
 
 
 def _lane_model(form: Structure, phase: Phase, laws: Laws) -> tuple[lane_functions.Layout, str]:

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from equimus_ctrl.effects.following import CARRIED, STRIDE, first_carried
 from equimus_ctrl.effects.sensors import OFFSET, SCALE, SENSOR_DELAY, hermite, hermite_rate
-from equimus_ctrl.engines.lane_begin import clear, go_on_with_commands
+from equimus_ctrl.engines.lane_begin import clear, go_on_with_commands, prepared, same_as_previous
 from equimus_ctrl.engines.lane_functions import (
     BOUNDED,
     LANES,
@@ -234,7 +234,7 @@ def follow_recorded(
 @njit(cache=True, nogil=True, error_model="numpy")
 def hidden_starts(
     robot: Layout,
-    w: Array,
+    parameters: Array,
     times: Array,
     commands: Array,
     before: Array,
@@ -249,7 +249,6 @@ def hidden_starts(
     v0: Array,
     start: Array,
     dt: float,
-    same: NDArray[np.bool_],
     linear: NDArray[np.bool_],
     out: Array,
 ) -> None:
@@ -260,7 +259,7 @@ def hidden_starts(
 
     Args:
         robot: see ``lane_functions``.
-        w: work array with the constants.
+        parameters: (k, np) parameter vectors, k ≤ LANES.
         times: as in ``run_trials``, as what is not named here.
         commands: as there.
         before: as there.
@@ -275,7 +274,6 @@ def hidden_starts(
         v0: as there.
         start: as there.
         dt: as there.
-        same: see ``same_as_previous``.
         linear: as there.
         out: (trials, nz·LANES) written, of trials that start after the recording does.
     """
@@ -283,7 +281,8 @@ def hidden_starts(
     size = STRIDE + math.ceil(min(reading, REMEMBERED / 2) / dt) + 1
     drive, history = np.empty((size, 2, robot[N_ACTUATORS] * LANES)), np.empty((size, 2, robot[N_ACTUATORS]))
     bend, kept, at = np.zeros(2 * robot[N_JOINTS] * LANES), np.empty(robot[N_STATES] * LANES), np.empty(LANES)
-    columns, similar = np.empty((k, robot[N_ACTUATORS], len(times))), same.copy()
+    w, similar = prepared(robot, parameters), same_as_previous(commands, before, valve, follow)
+    columns = np.empty((k, robot[N_ACTUATORS], len(times)))
     early, carried = np.empty((k, robot[N_ACTUATORS], CARRIED)), np.empty((k, robot[N_ACTUATORS], CARRIED))
     for l in range(k):  # noqa: E741
         for i in range(robot[N_ACTUATORS]):

@@ -39,7 +39,8 @@ from equimus_ctrl.engines.lane_functions import (
     lane_friction,
     lane_motion,
 )
-from equimus_ctrl.engines.lane_hidden import hidden_starts, put_hidden
+from equimus_ctrl.engines.lane_hidden import hidden_starts as hidden_starts
+from equimus_ctrl.engines.lane_hidden import put_hidden
 from equimus_ctrl.engines.lane_steps import anything_pressed, grip_limits, lane_stops, press_as_asked, step
 from equimus_ctrl.engines.limits import MAX_SPEED
 from equimus_ctrl.types import Array
@@ -161,56 +162,6 @@ def measure_inner(robot: Layout, grid: Array, start: float, dt: float, times: Ar
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def led_starts(
-    robot: Layout,
-    parameters: Array,
-    times: Array,
-    commands: Array,
-    before: Array,
-    valve: Array,
-    follow: Array,
-    first: Array,
-    sensor: Array,
-    recorded_times: Array,
-    recorded: Array,
-    reading: float,
-    q0: Array,
-    v0: Array,
-    start: Array,
-    dt: float,
-    linear: NDArray[np.bool_],
-    out: Array,
-) -> None:
-    """The hidden states where trials of one recording start, of up to LANES parameter sets; see ``hidden_starts``.
-
-    Args:
-        robot: see ``lane_functions``.
-        parameters: as in ``run_trials``, as what is not named here.
-        times: as there.
-        commands: as there.
-        before: as there.
-        valve: as there.
-        follow: as there.
-        first: (k, na) what integrators of commands begin with at the recording's start.
-        sensor: as there.
-        recorded_times: (n,) of the motion that was recorded [s].
-        recorded: (3, n, nj), see ``hidden_starts``.
-        reading: as there [s].
-        q0: as there.
-        v0: as there.
-        start: as there.
-        dt: as there.
-        linear: as there.
-        out: (trials, nz·LANES) written, of trials that start after the recording does.
-    """
-    same = same_as_previous(commands, before, valve, follow)
-    hidden_starts(
-        robot, prepared(robot, parameters), times, commands, before, valve, follow, first, sensor, recorded_times,
-        recorded, reading, q0, v0, start, dt, same, linear, out,
-    )  # fmt: skip
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
 def run_trials(
     robot: Layout,
     parameters: Array,
@@ -262,8 +213,8 @@ def run_trials(
             could not be had.
         linear: (na,) whether an actuator's commands go along a line from each instant to the next; else they are held.
         motion: (k, m, 2 nj) or (k, m, 2 nj + nz) written, see ``measure_inner``; with m = 0 they are not wanted.
-        hidden: (trials, nz·LANES) states where trials start that begin inside of a recording, see ``led_starts``; with
-            no rows hidden states start as if nothing had been before.
+        hidden: (trials, nz·LANES) states where trials start that begin inside of a recording, see ``hidden_starts``;
+            with no rows hidden states start as if nothing had been before.
     """
     most = steps.max()
     w, same = prepared(robot, parameters), same_as_previous(commands, before, valve, follow)
