@@ -117,7 +117,7 @@ def check_hardware(
         raise ConfigError(f"seconds is {seconds:g}, expected more than 0")
     own = interface_of(settings, model.robot)
     if not 0 < share <= 1:
-        raise ConfigError(f"share is {share:g}, expected more than 0 and at most 1")
+        raise ConfigError(f"the share of a range is {100 * share:g} %, expected more than 0 and at most 100 %")
     if pressure is not None:
         if set(own.command_units) != {"Pa"}:
             raise ConfigError(f"{model.robot.name}: its commands are no pressures, expected a share of their range")
