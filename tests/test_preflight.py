@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import lru_cache, partial
 
@@ -12,7 +13,7 @@ from pendulum_runs import MOTOR, PENDULUM, SERVO, recorded
 
 from equimus_ctrl import workflow
 from equimus_ctrl.diagnosis import preflight
-from equimus_ctrl.effects import CoulombFriction, PayloadMass, TransportDelay
+from equimus_ctrl.effects import CoulombFriction, Effect, PayloadMass, TransportDelay
 from equimus_ctrl.models.model import Model, nominal_model
 from equimus_ctrl.robots.mjcf.robot import MjcfRobot
 from equimus_ctrl.types import Recording
@@ -73,6 +74,62 @@ def test_exchanged_columns_are_told() -> None:
     exchanged = [replace(r, command=r.command[:, ::-1].copy()) for r in trials]
     said = refusal(lambda: preflight.check(Model(robot), exchanged))
     assert "look exchanged" in said and "shoulder" in said and "reach" in said and "order" in said
+
+
+LINKS = """<mujoco model="links"><option timestep="0.001"/><worldbody><body name="upper">
+  <joint name="shoulder" axis="0 1 0" damping="0.4"/><inertial mass="1" pos="0 0 -0.2" diaginertia="0.02 0.02 0.01"/>
+  <body name="fore" pos="0 0 -0.4"><joint name="elbow" axis="0 1 0" damping="0.3"/>
+  <inertial mass="0.6" pos="0 0 -0.15" diaginertia="0.01 0.01 0.01"/></body></body></worldbody>
+  <actuator><DRIVE name="m1" joint="shoulder"/><DRIVE name="m2" joint="elbow"/></actuator></mujoco>"""
+MOTORS = MjcfRobot("links", LINKS.replace("DRIVE", "motor"))
+SERVOS = MjcfRobot("links", LINKS.replace("DRIVE", 'position kp="8" kv="0.4"'))
+
+
+@lru_cache(maxsize=2)
+def moves(robot: MjcfRobot) -> tuple[Recording, ...]:
+    return tuple(recorded(Model(robot), count=2, seed=11, size=1.5))
+
+
+def changed(trials: Sequence[Recording], *, add: float = 0.0, signs: Sequence[float] = (1, 1)) -> list[Recording]:
+    """Recordings whose elbow has another zero, or whose joints turn the other way round."""
+    return [replace(r, position=r.position * signs + np.array([0.0, add]), command=r.command * signs) for r in trials]
+
+
+def test_another_zero_is_told_with_what_to_add() -> None:
+    said = refusal(lambda: preflight.check(Model(MOTORS), changed(moves(MOTORS), add=np.pi / 2)))
+    assert "the zero of elbow looks off by 90°" in said and "add -1.5708 rad to pos.elbow, or" in said
+
+
+def test_a_joint_recorded_the_other_way_round_is_told() -> None:
+    said = refusal(lambda: preflight.check(Model(MOTORS), changed(moves(MOTORS), signs=(1, -1))))
+    assert "elbow looks as if it turned the other way round" in said and "sign of pos.elbow and cmd.m2" in said
+    assert "shoulder looks as if" in said, "a mirrored plane is the same"
+
+
+@pytest.mark.parametrize(("commands", "words"), [(False, "these columns"), (True, "commands as well as positions")])
+def test_joints_in_another_order_are_told(commands: bool, words: str) -> None:
+    other = [
+        replace(r, position=r.position[:, ::-1].copy(), command=r.command[:, ::-1].copy() if commands else r.command)
+        for r in moves(MOTORS)
+    ]
+    said = refusal(lambda: preflight.check(Model(MOTORS), other))
+    assert "shoulder" in said and "elbow look exchanged" in said and words in said
+
+
+def test_a_servos_goal_has_its_joints_zero() -> None:
+    trials = moves(SERVOS)
+    turn = np.array([0.0, np.pi])
+    other = [replace(r, position=r.position + turn, command=r.command + turn) for r in trials]
+    said = refusal(lambda: preflight.check(Model(SERVOS), other))
+    assert "off by 180°" in said and "to pos.elbow and to its drive's goal" in said
+
+
+@pytest.mark.parametrize(
+    "effects",
+    [(PayloadMass("fore", 1.5),), (CoulombFriction("shoulder", 1.0), CoulombFriction("elbow", 0.8))],
+)
+def test_missing_physics_at_several_joints_is_no_mistake_of_the_recordings(effects: tuple[Effect, ...]) -> None:
+    preflight.check(Model(MOTORS), recorded(Model(MOTORS, effects), count=2, seed=12, size=1.5))
 
 
 def test_angles_in_degrees_are_told() -> None:

@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
+from equimus_ctrl.diagnosis.conventions import ALIKE, mistaken
 from equimus_ctrl.engines.mjcf_inverse import (
     MeasuredMotion,
     applies,
@@ -32,8 +33,6 @@ from equimus_ctrl.robots.mjcf.actuators import moments_at
 from equimus_ctrl.robots.mjcf.robot import MjcfRobot, mjcf_of
 from equimus_ctrl.types import Array, Recording
 
-ALIKE = 0.9
-"""Correlation from which on two forces are one, but for size and sign."""
 UNLIKE = 0.5
 """Below this a joint's own drive is not what moves it, where another one is alike."""
 UNIT = 5.0
@@ -153,10 +152,12 @@ def _inside(values: Array, low: float, high: float) -> bool:
 
 def _check_forces(model: Model, robot: MjcfRobot, recordings: Sequence[Recording]) -> None:
     """Raise ConfigError where what moves a joint is the opposite of its drive's force, another's, or far larger."""
-    needed, exerted = _forces(model, recordings)
+    needed, exerted, width = _forces(model, recordings)
     nj = len(robot.joint_names)
     if len(needed) < LEAST_ROWS:
         return
+    if said := mistaken(robot, recordings, lambda changed: _forces(model, changed, (width,))[:2]):
+        raise ConfigError(said)
     size = np.sqrt((exerted**2).mean(axis=0))
     driven = [j for j in range(nj) if size[j] > 0]
     whole = np.sqrt((needed**2).mean(axis=0))
@@ -277,11 +278,11 @@ def _measured(
     return found
 
 
-def _forces(model: Model, recordings: Sequence[Recording]) -> tuple[Array, Array]:
+def _forces(model: Model, recordings: Sequence[Recording], widths: Sequence[int] = WIDTHS) -> tuple[Array, Array, int]:
     """(m, nj) what the motion needs of the drives, and what they exert, at the width that makes them most alike."""
-    best, found = -math.inf, (np.empty((0, 0)), np.empty((0, 0)))
+    best, found = -math.inf, (np.empty((0, 0)), np.empty((0, 0)), widths[0])
     motions = measured_motions(model, recordings)
-    for width in WIDTHS:
+    for width in widths:
         long = [m for m in motions if len(m.time) > 8 * width]
         if not long:
             break
@@ -291,7 +292,7 @@ def _forces(model: Model, recordings: Sequence[Recording]) -> tuple[Array, Array
         sizes = np.maximum(np.sqrt((needed**2).mean(axis=0) * (exerted**2).mean(axis=0)), 1e-300)
         alike = float(np.median(np.abs((needed * exerted).mean(axis=0) / sizes)))
         if alike > best:
-            best, found = alike, (needed, exerted)
+            best, found = alike, (needed, exerted, width)
     return found
 
 
