@@ -56,6 +56,24 @@ def test_a_fit_behind_the_first_ones_goes_on_where_its_rank_is_not_known(
     assert [f.deviance for f in found] == [900.0, 900.0, 900.0, 900.0 if goes_on else deviance]
 
 
+def test_the_best_that_stands_for_no_other_parameters_is_converged_too() -> None:
+    """Else it is compared, far above its minimum, with what has fewer parts."""
+    options, whole = [coarse(1000.0, OFF, True), coarse(2000.0, RUB, True)], list[str]()
+    search = OnPaper(Known({(): 5000.0}, aliased=[OFF]), SearchSettings(many_minima=True))
+
+    def converge(option: Fitted, settled: bool) -> Fitted:
+        whole.append(option.hypothesis[-1].candidate.label)
+        return option
+
+    def longer(hypothesis: tuple[Part, ...], *given: object, settled: object) -> Fitted:
+        return coarse(1500.0, hypothesis[-1].candidate.label, True)
+
+    vars(search.data).update(threads=1, coarse_fit=longer, converge=converge, discontinuous=lambda *a: [])
+    found = search._best_of_its_own_converged(search.known(), options, np.inf)
+    assert [f.deviance for f in found] == [1000.0, 1500.0] and whole == [RUB]
+    assert search._best_of_its_own_converged(search.known(), options[1:], np.inf) == options[1:] and whole == [RUB]
+
+
 @pytest.mark.parametrize(("deviance", "further"), [(4000.0, True), (4400.0, False)])
 def test_what_cannot_come_near_its_rival_is_not_fitted_further(deviance: float, further: bool) -> None:
     """The rival gains 3000, so it has to gain 0.7·3000 − 50 = 2050; at most three times what a few steps gain."""
@@ -117,7 +135,7 @@ def test_residual_forces_are_asked_only_where_one_can_explain_twice_as_much(
 
 
 def test_beside_other_effects_a_fit_begins_on_the_way_too() -> None:
-    """Model parameters and the new effect's size at all, a half and a quarter of their change to first order."""
+    """All, a half and a quarter of the change to first order, and a quarter of the new effect's alone."""
     part = Part(POOL[OFF], VALUES["sensor_offset"])
     data: Any = SimpleNamespace(
         theta_of=lambda theta, parts: np.append(theta, [v for p in parts for v in p.values.values()])
@@ -130,6 +148,7 @@ def test_beside_other_effects_a_fit_begins_on_the_way_too() -> None:
         whole = np.append(before, 0.0) + change
         screened = Screened(part.candidate, (*others, part), whole, (1.0, 1.0), (), np.zeros(0))
         expected = [np.append(before, 0.0) + share * change for share in shares]
+        expected += [np.append(before, 0.25 * 0.1)] if others else []
         assert np.array(screened.begins(data, of)) == pytest.approx(np.array(expected))
 
 

@@ -169,6 +169,7 @@ class HypothesisMoves:
         if self.settings.many_minima and not replaced:
             proposals += (Proposal(*begun) for begun in richer(self.data, fitted, pool))
         options = self._best_converged(fitted, self._coarse_fits(fitted, proposals, rival), rival)
+        options = self._best_of_its_own_converged(fitted, options, rival)
         return options, tried.having(*options)
 
     def _promising(self, fitted: Fitted, screened: Sequence[Screened], choice: Choice) -> list[Proposal]:
@@ -368,6 +369,18 @@ class HypothesisMoves:
             return option
 
         return [after for _, after in computer.side_by_side(self.data.threads, converged, range(len(options)))]
+
+    def _best_of_its_own_converged(self, fitted: Fitted, options: Sequence[Fitted], rival: float) -> list[Fitted]:
+        """Options of which the best that does not stand for other parameters is converged too.
+
+        It is taken where the best one is ``aliased``. A fit that is not at its minimum would seem to need fewer parts.
+        """
+        ranked = sorted(options, key=self.score)
+        if not ranked or not self.aliased(ranked[0]):
+            return list(options)
+        own = [option for option in ranked if not self.aliased(option)]
+        others = [option for option in options if all(option is not o for o in own)]
+        return [*others, *self._best_converged(fitted, own, rival)]
 
     def _or_of_other_sign(self, fitted: Fitted, option: Fitted) -> Fitted:
         """The best option, or the same law fitted from guesses of the other sign where that ends lower.

@@ -70,7 +70,8 @@ class Screened:
     def begins(self, data: Data, fitted: Fitted) -> list[Array]:
         """(p,) each, θ to first order; beside other parts also part of the way there from no effect of the last one.
 
-        The whole change may lead to a worse fit than none of it: other parts bend what is first order.
+        The whole change may lead to a worse fit than none of it: other parts bend what is first order. In a direction
+        that these hardly tell it leads far, so the last one leaves all but the last part where it is.
 
         Args:
             data: what was measured.
@@ -79,8 +80,10 @@ class Screened:
         last = self.hypothesis[-1]
         nothing = Part(last.candidate, {**last.values, **last.candidate.fades_to()})
         start = data.theta_of(fitted.fit.theta, (*self.hypothesis[:-1], nothing))
-        shares = SHORTER if fitted.hypothesis and last.candidate.fades_to() else ()
-        return [self.begin, *(start + share * (self.begin - start) for share in shares)]
+        if not fitted.hypothesis or not last.candidate.fades_to():
+            return [self.begin]
+        change, own = self.begin - start, np.arange(len(start)) >= len(start) - last.candidate.n_parameters
+        return [self.begin, *(start + share * change for share in SHORTER), start + SHORTER[-1] * own * change]
 
 
 @dataclass(frozen=True, eq=False)
