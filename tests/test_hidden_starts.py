@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from mjcf_models import pendulum
 
-from equimus_ctrl.effects import DahlFriction, DriveCompliance, Effect, SensorDelay, SensorOffset, SensorScale
+from equimus_ctrl.effects import Backlash, DahlFriction, DriveCompliance, Effect, SensorDelay, SensorOffset, SensorScale
 from equimus_ctrl.engines.batch import simulate
 from equimus_ctrl.engines.limits import REMEMBERED
 from equimus_ctrl.engines.mjcf import parted, simulate_mjcf
@@ -119,6 +119,29 @@ def test_the_motion_is_that_behind_the_sensors(simulated: Engine, sensor: Effect
         segments = [replace(s, trial=replace(s.trial, inner=True)) for s in segments]
         errors.append(farthest(simulated, own, segments, found.motion[0]))
     assert errors[0] < 0.2 * errors[1]
+
+
+@ENGINES
+def test_an_interval_of_a_sensor_with_play_goes_on_as_the_whole_trial_did(simulated: Engine) -> None:
+    """A joint that moves has the play behind it, and one that crosses the play is not seen to move."""
+    model, trial = Model(ROBOT, (Backlash("pivot", 0.05),)), whole(ROBOT, torque())
+    (found,) = simulated(model, [trial], None)
+    assert found.motion is not None
+    true = found.motion[0]
+    for segment in intervals(model, recording(trial, found.position[0])):
+        (led,) = simulated(model, [segment.trial], [true[None, round(segment.trial.start / 0.01)]])
+        assert np.abs(led.position[0] - segment.measured).max() < 1e-3
+
+
+def test_a_start_inside_a_recording_has_the_play_behind_it() -> None:
+    model, trial = Model(ROBOT, (Backlash("pivot", 0.05),)), whole(ROBOT, torque())
+    (found,) = stepped(model, [trial])
+    assert found.motion is not None
+    position, rate = found.motion[0].T
+    for segment in intervals(model, recording(trial, found.position[0])):
+        k = round(segment.trial.start / 0.01)
+        if abs(rate[k]) > 1.0:  # else it may be crossing the play
+            assert segment.trial.position[0] == pytest.approx(position[k], abs=2e-3)
 
 
 @pytest.mark.slow

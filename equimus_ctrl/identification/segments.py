@@ -214,16 +214,14 @@ def _shooting_intervals(
         if np.count_nonzero(chosen) < LEAST_SAMPLES:
             continue
         start = np.concatenate(local_motion(recording, float(a), span))
-        position, velocity = np.split(behind_sensors([model], start[None, :])[0], 2)
         trial = Trial(
             name=f"{recording.name} from {a:.3f} s" if len(edges) > 2 else recording.name,
             times=times,
             commands=command,
             before=before,
             start=float(a),
-            position=position,
+            position=start[: len(start) // 2],
             sample_times=np.array(time[chosen]),
-            velocity=velocity,
             settings=noted(model, recording, SET),
             factors=noted(model, recording, TIMES),
             linear=recording.linear,
@@ -233,6 +231,8 @@ def _shooting_intervals(
             supposed=recording.supposed,
             recorded=recorded,
         )
+        position, velocity = np.split(behind_sensors([model], start[None, :], trial)[0], 2)
+        trial = replace(trial, position=position, velocity=velocity)
         measured = np.array(recording.position[chosen])
         beside = trial.loose_start(model.robot) if model.robot.loose_count else ()
         whole = np.concatenate([start, np.zeros(len(zeros)), beside])
