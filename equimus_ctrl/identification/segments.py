@@ -28,7 +28,7 @@ from equimus_ctrl.engines.trials import Trial
 from equimus_ctrl.errors import ConfigError
 from equimus_ctrl.identification.channels import NOTHING, Channels, channels_of, measured_channels
 from equimus_ctrl.models.model import Model
-from equimus_ctrl.recordings.smoothing import recorded_motion
+from equimus_ctrl.recordings.smoothing import RecordedMotion, recorded_motion
 from equimus_ctrl.types import Array, Recording
 
 LEAST_SAMPLES = 10
@@ -248,6 +248,26 @@ def _shooting_intervals(
             f"{2 * LEAST_SAMPLES * np.median(np.diff(time)):.2g} s"
         )
     return segments
+
+
+def led_along(segments: Sequence[Segment], residuals: Sequence[Array]) -> list[Segment]:
+    """Segments that the motion predicted for them leads to, in place of the measured one, see ``Trial.recorded``.
+
+    Args:
+        segments: of some recordings.
+        residuals: for each (m, nj + ne) measured − predicted; what none of them covers stays as it was measured.
+    """
+    known: dict[RecordedMotion, Array] = {}
+    for segment, residual in zip(segments, residuals, strict=True):
+        recorded, nj = segment.trial.recorded, segment.measured.shape[1]
+        if recorded is not None:
+            position = known.setdefault(recorded, recorded.position.copy())
+            position[np.searchsorted(recorded.time, segment.trial.sample_times)] = segment.measured - residual[:, :nj]
+    led = {old: replace(old, position=position) for old, position in known.items()}
+    return [
+        s if s.trial.recorded is None else replace(s, trial=replace(s.trial, recorded=led[s.trial.recorded]))
+        for s in segments
+    ]
 
 
 def start_trust(recording: Recording, span: float) -> Array:
