@@ -174,6 +174,18 @@ def test_what_is_concealed_is_what_a_diagnosis_would_believe(pendulum: Experimen
                 assert low <= getattr(effect, key) <= high, (case, effect, key)
 
 
+def test_friction_of_all_joints_is_drawn_where_no_parameter_takes_it_up(two_joints: Experiment) -> None:
+    def drawn(values: dict[str, float]) -> set[tuple[str, str]]:
+        experiment = replace(two_joints, model=two_joints.model.with_parameters(values))
+        return {(e.name, e.location) for e in experiment.draw(1, 0, "all_joints").effects}
+
+    both = {("coulomb_friction", "shoulder"), ("coulomb_friction", "elbow")}
+    assert drawn({}) == both | {("viscous_friction", "shoulder"), ("viscous_friction", "elbow")}
+    assert drawn({"elbow.damping": 0.1}) == both | {("viscous_friction", "shoulder")}
+    with pytest.raises(ConfigError, match=r"dry friction already, which is estimated, .* give a model without"):
+        drawn({"shoulder.frictionloss": 0.1})
+
+
 def test_all_kinds_are_drawn_and_each_is_what_it_says(two_joints: Experiment) -> None:
     kinds = set()
     for case in range(30):

@@ -213,6 +213,16 @@ def test_numbers_count_where_the_name_is_right_and_the_effect_strong() -> None:
     assert {n.case for n in found.own} == {0, 2} and all(n.covered for n in found.own)
 
 
+def test_sizes_of_a_law_at_each_of_several_places_are_compared_place_by_place() -> None:
+    rubs = effect("coulomb_friction", "hip", friction=0.02), effect("coulomb_friction", "knee", friction=0.05)
+    said = finding("coulomb_friction", "hip", friction=0.021), finding("coulomb_friction", "knee", friction=0.06)
+    estimates = scored((truth("pair", *rubs), report(*said))).estimates["diagnosis"]
+    assert [n.true for n in estimates] == [0.02, 0.05]
+    assert [n.error for n in estimates] == pytest.approx([0.05, 0.2])
+    assert [n.covered for n in estimates] == [True, False]
+    assert not scored((truth("pair", *rubs), report(said[0]))).estimates["diagnosis"]
+
+
 def test_the_share_of_the_error_taken_away_is_over_the_true_noise() -> None:
     found = scored((truth("single", LAG), report(SAID_LAG)), (truth("single", RUB), report(SAID_LAG)))
     # Excess before (4 + 2)/2, after (0.2 + 0.4)/2.

@@ -29,7 +29,7 @@ from equimus_ctrl.identification.noise import (
 from equimus_ctrl.identification.parameters import FreeParameters
 from equimus_ctrl.identification.projection import Nuisance
 from equimus_ctrl.identification.residuals import followed
-from equimus_ctrl.identification.segments import Segment
+from equimus_ctrl.identification.segments import Segment, led_along
 from equimus_ctrl.identification.simulators import Simulator
 from equimus_ctrl.identification.whitened_fit import whiten_fit
 from equimus_ctrl.types import Array
@@ -232,6 +232,26 @@ class Data:
         finely = replace(self, simulator=self.fine, coarse=None, fine=None)
         start = finely._fit(fitted.hypothesis, [fitted.begin], fitted.noise, NO_STEP)
         return finely.converge(finely._with_noise(fitted.hypothesis, start))
+
+    def led_by_fit(self, fitted: Fitted) -> Fitted:
+        """A fit in which the motion that it predicts leads to what no sensor shows at starts, where that fits better.
+
+        Measured motion brings its noise there, which no interval of the parameters counts. The same fit where nothing
+        hangs on the motion before a start.
+        """
+        best = fitted
+        for _ in range(ROUNDS if any(s.trial.led is not None for s in self.segments) else 0):
+            data, hypothesis = replace(self, segments=led_along(self.segments, best.fit.residuals)), best.hypothesis
+            begun = data._fit(hypothesis, [best.begin], best.noise, NO_STEP, GridScan(0, 0))
+            if all(map(np.array_equal, begun.residuals, best.fit.residuals)):
+                break
+            after = data.converge(data._with_noise(hypothesis, begun), settled=True)
+            gain = best.deviance - after.deviance
+            if gain > 0:
+                best = after
+            if gain < CONVERGED_GAIN:
+                break
+        return best
 
     def _fit(
         self,

@@ -102,7 +102,10 @@ def segment_response(
     parts = []
     for group, of in zip(groups, rows, strict=True):
         own = model.in_group(group)
-        parted = [segments[k].parted(starts[k][None, :]) for k in of]
-        true = [np.append(behind_sensors([own], shown)[0], beside[0]) for shown, _, beside in parted]
-        parts.append(force_response(engine, own, [segments[k].trial for k in of], true, scale, dt, threads))
+        parted, trials = [segments[k].parted(starts[k][None, :]) for k in of], [segments[k].trial for k in of]
+        true = [
+            np.append(behind_sensors([own], shown, trial)[0], beside[0])
+            for trial, (shown, _, beside) in zip(trials, parted, strict=True)
+        ]
+        parts.append(force_response(engine, own, trials, true, scale, dt, threads))
     return _ByGroup(rows, tuple(parts))

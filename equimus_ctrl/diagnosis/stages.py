@@ -1,7 +1,7 @@
 """A diagnosis, stage by stage: each takes what is known, a ``State``, and returns what is known after it.
 
     refit → search → groups → confirmation → unexplained → discretization → validation → other_holdout → alternatives
-    → units → report
+    → units → hidden_starts → report
 
 ``carried_out`` runs them in this order; ``STAGES`` has those between the refit and the report. ``other_holdout`` is a
 second diagnosis, with other trials held out, by the same stages. Where a budget ends a stage, what was known before it
@@ -347,6 +347,19 @@ def find_alternatives(state: State) -> State:
     return state
 
 
+def lead_by_fit(state: State) -> State:
+    """The end's parameters where the motion that each fit predicts leads to what no sensor shows at starts."""
+    data, end = state.data, state.end
+    best = data.led_by_fit(end.best)
+    if best is end.best:
+        return state
+    without = tuple(best if fitted is end.best else data.led_by_fit(fitted) for fitted in end.without)
+    base = best if end.base is end.best else end.base
+    reason = f"−2 log likelihood falls by {end.best.deviance - best.deviance:.4g}"
+    state = replace(state, end=replace(end, best=best, base=base, without=without))
+    return state.decided("hidden_starts", "what no sensor shows at starts follows from the fitted motion", reason)
+
+
 def _told_better(state: State, part: Part, other: Equivalent) -> State:
     """With a note on what fits better than a part in its place, with no more that its parameters change."""
     reason = f"−2 log likelihood is lower by {other.better:.4g} more than what is not distinguishable"
@@ -366,6 +379,7 @@ ORDER = (
     Stage("other_holdout", repeat_with_other_holdout, "what other held-out trials would show", settles=False),
     Stage("alternatives", find_alternatives, "what fits as well in an effect's place", "evidence", 0.94, settles=False),
     Stage("units", compare_units, "whether parameters differ from the nominal ones", settles=False),
+    Stage("hidden_starts", lead_by_fit, "what the fitted motion leads to at starts of intervals", settles=False),
 )
 STAGES = tuple(stage.name for stage in ORDER)
 """What follows the refit, in order."""

@@ -165,6 +165,14 @@ def shown(sensor: Array, angles: Array) -> Array:
     return np.asarray(_reading(sensor[:, OFFSET], sensor[:, SCALE], angles))
 
 
+def ahead(sensor: Array, direction: Array) -> Array:
+    """(…) how far joints that move in a direction (…) of ±1 are ahead of what sensors (…, 4) show, by play alone [rad].
+
+    A joint that moves is at the end of the play.
+    """
+    return np.asarray(0.5 * sensor[..., PLAY] * direction)
+
+
 def behind(sensor: Array, measured: Array) -> Array:
     """(…, nj) the angles of which sensors (…, nj, 4) show what is measured (…, nj), at rest [rad]."""
     return np.asarray((measured - sensor[..., OFFSET]) / sensor[..., SCALE])
@@ -241,7 +249,15 @@ def recall(past: Array, newest: int, age: float, dt: float) -> float:
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def sample(
-    q: Array, v: Array, start: float, dt: float, sensor: Array, times: Array, out: Array, before: float = 0.0
+    q: Array,
+    v: Array,
+    start: float,
+    dt: float,
+    sensor: Array,
+    times: Array,
+    out: Array,
+    before: float = 0.0,
+    shown: float = np.nan,
 ) -> None:
     """What a joint's sensor says at given times of a motion on a grid.
 
@@ -254,9 +270,13 @@ def sample(
         times: (m,) ascending, none beyond the grid [s].
         out: (m,) written [rad].
         before: rate of the joint before the grid [rad/s]; by default it stood still.
+        shown: what the sensor showed where the grid begins, as far as play lets it [rad]; nan where nobody knows: then
+            the joint is in the middle of the play.
     """
     n, play = len(q), sensor[PLAY]
     held, reached = q[0], 0
+    if play > 0.0 and not math.isnan(shown):
+        held = (shown - sensor[OFFSET]) / sensor[SCALE]
     for k in range(len(times)):
         place = (times[k] - sensor[SENSOR_DELAY] - start) / dt
         if place <= 0.0:

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from equimus_ctrl import computer
 from equimus_ctrl.effects.bodies import changed_bodies
 from equimus_ctrl.effects.following import FOLLOW_KIND, arrived
+from equimus_ctrl.effects.sensors import PLAY
 from equimus_ctrl.effects.valves import ShapingEffect, shaped_commands
 from equimus_ctrl.engines.drive_forces import drive_forces
 from equimus_ctrl.engines.encoding import Encoded, grouped
@@ -244,6 +245,7 @@ class _Block:
             v,
             self.coded.rubbing,
             self.moving,
+            self._shown(trials),
             start,
             dt,
             steps,
@@ -265,6 +267,15 @@ class _Block:
                 result.motion[self.models, :, nj:] = own[:, :, len(self.moved) : 2 * len(self.moved)][:, :, self.still]
         if forces:
             self._write_forces(trials, dt, first, motion, place, results)
+
+    def _shown(self, trials: Sequence[Trial]) -> Array:
+        """(trials, nv) what sensors showed at the starts, of those with play inside recordings; nan of all others."""
+        found = np.full((len(trials), len(self.moved)), np.nan)
+        if np.any(self.sensor[:, :, PLAY] > 0.0):
+            for row, trial in zip(found, trials, strict=True):
+                if trial.going is not None:
+                    row[:] = trial.going[0][self.moved]
+        return found
 
     def _write_forces(
         self,

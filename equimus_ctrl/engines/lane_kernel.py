@@ -78,6 +78,7 @@ def measure(
     dt: float,
     sensor: Array,
     moving: bool,
+    shown: Array,
     times: Array,
     out: Array,
     reached: Array,
@@ -91,6 +92,7 @@ def measure(
         dt: of the grid [s].
         sensor: (k, nj, 4), see ``effects.sensors.OFFSET``.
         moving: whether joints moved before the start as they do there; else they stood still.
+        shown: (nj,) what sensors showed at the start [rad or m]; nan where nobody knows.
         times: (m,) ascending [s].
         out: (k, m, nj) written: measured positions [rad or m].
         reached: (k,) written: m where all is well, else the index of the first sample that could not be had.
@@ -113,7 +115,7 @@ def measure(
             if not together:
                 for s in range(n):
                     q[s], v[s] = grid[s, place + l], grid[s, speeds + l]
-                sample(q, v, start, dt, sensor[l, j], times, out[l, :, j], v[0] if moving else 0.0)
+                sample(q, v, start, dt, sensor[l, j], times, out[l, :, j], v[0] if moving else 0.0, shown[j])
             if sound < n:
                 lost = start + (sound - 1) * dt + sensor[l, j, SENSOR_DELAY]
                 reached[l] = min(reached[l], np.searchsorted(times, lost, side="right"))
@@ -176,6 +178,7 @@ def run_trials(
     v0: Array,
     rubbing: Array,
     moving: bool,
+    shown: Array,
     start: Array,
     dt: float,
     steps: Array,
@@ -203,6 +206,7 @@ def run_trials(
         v0: (trials, k, nj) velocities there [rad/s or m/s].
         rubbing: rows where any has dry friction.
         moving: whether joints moved before the start as they do there; else they stood still.
+        shown: (trials, nj) what sensors showed at the starts [rad or m]; nan where nobody knows.
         start: (trials,) of the motion [s].
         dt: physics step [s].
         steps: (trials,) how many.
@@ -245,7 +249,8 @@ def run_trials(
         if len(hidden) > 0 and at > times[0]:
             put_hidden(robot, w, hidden[trial])
         run_lanes(robot, w, own, dt, rubbing, grid[: n + 1])
-        measure(robot, grid[: n + 1], at, dt, sensor, moving, sampled, out[:, low:high], reached[trial])
+        own_out, own_reached = out[:, low:high], reached[trial]
+        measure(robot, grid[: n + 1], at, dt, sensor, moving, shown[trial], sampled, own_out, own_reached)
         if motion.shape[1] > 0:
             measure_inner(robot, grid[: n + 1], at, dt, sampled, motion[:, low:high])
 

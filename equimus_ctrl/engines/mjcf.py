@@ -14,7 +14,7 @@ from equimus_ctrl import computer
 from equimus_ctrl.effects.base import Effect
 from equimus_ctrl.effects.command import FILL, VENT, mixed_history, pressure_history
 from equimus_ctrl.effects.following import arrived
-from equimus_ctrl.effects.sensors import SENSOR_DELAY, inner, sample
+from equimus_ctrl.effects.sensors import PLAY, SENSOR_DELAY, inner, sample
 from equimus_ctrl.effects.valves import shaped_commands, valve_settings
 from equimus_ctrl.engines import compiled
 from equimus_ctrl.engines.limits import MAX_SPEED
@@ -250,9 +250,17 @@ def _law_starts(own: Realised, trial: Trial, start: Array) -> Array:
     return np.array([generated.joint_start((float(q), float(v), time), c) for q, v, c in joints])
 
 
-def measured_of(own: Realised, path: Course, times: Array) -> tuple[Array, int]:
-    """(m, nj) what sensors show of a path, and how many of the samples there are before it diverged."""
-    nj = len(own.places)
+def measured_of(own: Realised, path: Course, times: Array, trial: Trial | None = None) -> tuple[Array, int]:
+    """(m, nj) what sensors show of a path, and how many of the samples there are before it diverged.
+
+    Args:
+        own: the robot.
+        path: of its joints.
+        times: (m,) ascending [s].
+        trial: that it is of: inside a recording sensors go on from what they showed.
+    """
+    nj, play = len(own.places), bool(np.any(own.sensor[:, PLAY] > 0.0))
+    going = trial.going if play and trial is not None else None
     out = np.empty((len(times), nj))
     with np.errstate(all="ignore"):
         for j in range(nj):
@@ -262,7 +270,8 @@ def measured_of(own: Realised, path: Course, times: Array) -> tuple[Array, int]:
             before = path.q[0, j] - path.v[0, j] * path.dt * np.arange(lead, 0, -1)
             q = np.concatenate([before, path.q[:, j]])
             v = np.concatenate([np.full(lead, path.v[0, j]), path.v[:, j]])
-            sample(q, v, path.start - lead * path.dt, path.dt, own.sensor[j], times, column)
+            shown = going[0][j] if going is not None else np.nan
+            sample(q, v, path.start - lead * path.dt, path.dt, own.sensor[j], times, column, 0.0, shown)
             out[:, j] = column
     if path.sound == len(path.q):
         return out, len(times)
@@ -389,7 +398,8 @@ def simulate_mjcf(
                 velocity = np.zeros(nj) if trial.velocity is None else trial.velocity
                 start = np.concatenate([trial.position, velocity])
             path = follow(own, trial, start, command(i, own), leader=leader)
-            results[i].position[which], results[i].reached[which] = measured_of(own, path, trial.sample_times)
+            found = measured_of(own, path, trial.sample_times, trial)
+            results[i].position[which], results[i].reached[which] = found
             if (motion := results[i].motion) is not None:
                 motion[which] = inner_of(path, trial.sample_times)
             if (forces := results[i].forces) is not None:

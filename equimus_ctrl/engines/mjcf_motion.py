@@ -53,7 +53,7 @@ class SimulatedResponse:
         """
 
         def read(own: Realised, course: Course, trial: Trial) -> Array:
-            return measured_of(own, course, trial.sample_times)[0]
+            return measured_of(own, course, trial.sample_times, trial)[0]
 
         return self._responses(torques, read, len(self.scale))
 

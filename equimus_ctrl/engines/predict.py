@@ -9,7 +9,7 @@ from typing import get_args
 import numpy as np
 
 from equimus_ctrl.effects.bodies import changed_bodies
-from equimus_ctrl.effects.sensors import SCALE, SENSOR_DELAY, behind, sensor_settings
+from equimus_ctrl.effects.sensors import PLAY, SCALE, SENSOR_DELAY, ahead, behind, sensor_settings
 from equimus_ctrl.engines.base import EngineName
 from equimus_ctrl.engines.batch import STEP
 from equimus_ctrl.engines.choice import engine_for
@@ -130,26 +130,29 @@ def modelled_start(model: Model, recording: Recording) -> Array:
     return np.asarray(behind_sensors([model], measured_start(recording)[None, :])[0])
 
 
-def behind_sensors(models: Sequence[Model], shown: Array) -> Array:
+def behind_sensors(models: Sequence[Model], shown: Array, trial: Trial | None = None) -> Array:
     """(k, nj) positions, or (k, 2 nj) positions and velocities, of which each model's sensors show these values.
 
     Args:
         models: k of one robot.
         shown: what their sensors show, one row a model.
+        trial: that begins there: inside a recording joints move as it shows.
     """
-    return behind_all(models, [shown])[0]
+    return behind_all(models, [shown], [trial])[0]
 
 
-def behind_all(models: Sequence[Model], shown: Sequence[Array]) -> list[Array]:
+def behind_all(models: Sequence[Model], shown: Sequence[Array], trials: Sequence[Trial | None]) -> list[Array]:
     """The same for several arrays of one row a model each."""
     names, traits = models[0].robot.joint_names, models[0].robot.traits
     nj = len(names)
     settings = {m.effects: sensor_settings(m.effects, names) for m in {m.effects: m for m in models}.values()}
     sensor = np.array([settings[m.effects] for m in models])
-    found = []
-    for rows in shown:
+    found, play = [], bool(np.any(sensor[:, :, PLAY] > 0.0))
+    for rows, trial in zip(shown, trials, strict=True):
         true = np.array(rows)
         true[:, :nj] = behind(sensor, true[:, :nj])
+        if play and trial is not None and (going := trial.going) is not None:
+            true[:, :nj] += ahead(sensor, np.sign(going[1][:nj] / sensor[:, :, SCALE]))
         true[:, nj:] /= sensor[:, : true.shape[1] - nj, SCALE]
         if true.shape[1] > nj and not traits.starts_at_rest:
             true[:, :nj] += true[:, nj:] * sensor[:, :, SENSOR_DELAY]  # it has moved on since

@@ -87,6 +87,11 @@ class Trial:
         return self.recorded if self.start > self.times[0] else None
 
     @cached_property
+    def going(self) -> tuple[Array, Array] | None:
+        """(nj + np + nu,) what was recorded at the start, and its rate; None where nobody knows the motion before."""
+        return None if self.led is None else self.led.motion.at(self.start)[:2]
+
+    @cached_property
     def condition(self) -> Condition:
         """Key that differs between trials in which a model has other parameter values."""
         return tuple(sorted(self.settings.items())), tuple(sorted(self.factors.items()))

@@ -28,7 +28,7 @@ from equimus_ctrl.engines.trials import Trial
 from equimus_ctrl.errors import ConfigError
 from equimus_ctrl.identification.channels import NOTHING, Channels, channels_of, measured_channels
 from equimus_ctrl.models.model import Model
-from equimus_ctrl.recordings.smoothing import recorded_motion
+from equimus_ctrl.recordings.smoothing import RecordedMotion, recorded_motion
 from equimus_ctrl.types import Array, Recording
 
 LEAST_SAMPLES = 10
@@ -214,16 +214,14 @@ def _shooting_intervals(
         if np.count_nonzero(chosen) < LEAST_SAMPLES:
             continue
         start = np.concatenate(local_motion(recording, float(a), span))
-        position, velocity = np.split(behind_sensors([model], start[None, :])[0], 2)
         trial = Trial(
             name=f"{recording.name} from {a:.3f} s" if len(edges) > 2 else recording.name,
             times=times,
             commands=command,
             before=before,
             start=float(a),
-            position=position,
+            position=start[: len(start) // 2],
             sample_times=np.array(time[chosen]),
-            velocity=velocity,
             settings=noted(model, recording, SET),
             factors=noted(model, recording, TIMES),
             linear=recording.linear,
@@ -233,6 +231,8 @@ def _shooting_intervals(
             supposed=recording.supposed,
             recorded=recorded,
         )
+        position, velocity = np.split(behind_sensors([model], start[None, :], trial)[0], 2)
+        trial = replace(trial, position=position, velocity=velocity)
         measured = np.array(recording.position[chosen])
         beside = trial.loose_start(model.robot) if model.robot.loose_count else ()
         whole = np.concatenate([start, np.zeros(len(zeros)), beside])
@@ -248,6 +248,26 @@ def _shooting_intervals(
             f"{2 * LEAST_SAMPLES * np.median(np.diff(time)):.2g} s"
         )
     return segments
+
+
+def led_along(segments: Sequence[Segment], residuals: Sequence[Array]) -> list[Segment]:
+    """Segments that the motion predicted for them leads to, in place of the measured one, see ``Trial.recorded``.
+
+    Args:
+        segments: of some recordings.
+        residuals: for each (m, nj + ne) measured − predicted; what none of them covers stays as it was measured.
+    """
+    known: dict[RecordedMotion, Array] = {}
+    for segment, residual in zip(segments, residuals, strict=True):
+        recorded, nj = segment.trial.recorded, segment.measured.shape[1]
+        if recorded is not None:
+            position = known.setdefault(recorded, recorded.position.copy())
+            position[np.searchsorted(recorded.time, segment.trial.sample_times)] = segment.measured - residual[:, :nj]
+    led = {old: replace(old, position=position) for old, position in known.items()}
+    return [
+        s if s.trial.recorded is None else replace(s, trial=replace(s.trial, recorded=led[s.trial.recorded]))
+        for s in segments
+    ]
 
 
 def start_trust(recording: Recording, span: float) -> Array:

@@ -53,11 +53,12 @@ class Simulator:
     ) -> list[Predicted]:
         parts = [s.parted(rows) for s, rows in zip(segments, starts, strict=True)]
         shown, offsets, beside = zip(*parts, strict=True)
+        trials = [s.trial for s in segments]
         true = [
             np.concatenate([joints, loose], axis=1)
-            for joints, loose in zip(behind_all(models, shown), beside, strict=True)
+            for joints, loose in zip(behind_all(models, shown, trials), beside, strict=True)
         ]
-        found = self.engine.simulate(models, [s.trial for s in segments], true, self.threads)
+        found = self.engine.simulate(models, trials, true, self.threads)
         shifted = [
             replace(own, position=own.position + offset[:, None]) if segment.zeros else own
             for segment, own, offset in zip(segments, found, offsets, strict=True)

@@ -33,8 +33,9 @@ EFFECTS: dict[Kind, tuple[int, int]] = {
     "none": (0, 0), "single": (1, 0), "pair": (2, 0), "outside": (0, 1), "all_joints": (0, 0), "triple": (3, 0),
 }  # fmt: skip
 """How many effects of each kind are in the catalogue, and how many outside it, drawn one by one."""
-RUBS = ("coulomb_friction", "viscous_friction")
-"""What is missing at every joint where all of them rub, each with its own size."""
+RUBS = {"coulomb_friction": "frictionloss", "viscous_friction": "damping"}
+"""What is missing at every joint where all of them rub, each with its own size, and which parameter of the joint would
+take it up."""
 PLAIN = 0.1
 """Least of these sizes, as a share of the largest: at each joint they are to be seen."""
 ALIKE_SHARE = 0.25
@@ -306,18 +307,24 @@ def missing_physics(
 
 
 def friction_of_all_joints(rng: np.random.Generator, draws: Draws, real: Model) -> tuple[Effect, ...]:
-    """Dry friction at every joint, and viscous friction where the model has no damping of its own to take it up.
+    """Dry and viscous friction at every joint that has no parameter of its own to take it up.
 
     Raises:
-        ConfigError: for a robot of one joint, or of which a proof draws no friction at joints alone.
+        ConfigError: for a robot of one joint, or of which a proof draws no friction at joints alone, or all of whose
+            joints but one at most have dry friction already.
     """
     joints = real.robot.joint_names
     if len(joints) < 2 or real.robot.traits.catalogue != "mjcf":
         raise ConfigError(f"{real.name}: friction in all joints is drawn of MJCF robots of two joints or more")
-    damped = any(name.endswith(".damping") for name in draws.spread)
+    without = {law: [j for j in joints if f"{j}.{own}" not in draws.spread] for law, own in RUBS.items()}
+    if len(without["coulomb_friction"]) < 2:
+        raise ConfigError(
+            f"{real.name}: its joints have dry friction already, which is estimated, so none of it is missing; for "
+            "friction in all joints give a model without frictionloss"
+        )
     found = []
-    for name in RUBS[: 1 if damped else 2]:
-        for joint in joints:
+    for name, places in without.items():
+        for joint in places:
             (key,) = REGISTRY[name].parameter_info()
             size = size_of(draws.table, name, key, "", joint)
             found.append(REGISTRY[name](joint, **{key: replace(size, low=PLAIN * size.high).draw(rng)}))

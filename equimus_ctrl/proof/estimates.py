@@ -75,16 +75,19 @@ def measure_of(effect: str, parameter: str, location: str, true: float) -> tuple
 
 
 def effect_estimates(cases: Sequence[Case], method: Method = OURS) -> list[ParameterEstimate]:
-    """All parameters of effects that were named right in their places and are strong alone."""
+    """All parameters of effects that were named right in their places and are strong alone.
+
+    Where a law has a size of its own at each of several places, each is compared with what was said of that place.
+    """
     found: list[ParameterEstimate] = []
     for case in cases:
-        named = case.named(method)
+        named, wanted = case.named(method), case.wanted
         for truth in case.truth["findings"]:
             ((effect, where),) = case.places.parts([truth]).items()
-            if truth["alone"] < STRONG or named.get(effect) != where or case.answer(method).failed:
+            if truth["alone"] < STRONG or named.get(effect) != wanted[effect] or case.answer(method).failed:
                 continue
             for finding in case.answer(method).findings:
-                if finding["effect"] == effect:
+                if finding["effect"] == effect and where & case.places.parts([finding])[effect]:
                     found += _estimates(case.number, truth, finding["parameters"])
     return found
 
