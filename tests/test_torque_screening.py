@@ -15,7 +15,7 @@ from equimus_ctrl.diagnosis.candidates import candidates
 from equimus_ctrl.diagnosis.fitting import Data
 from equimus_ctrl.diagnosis.holdout import split
 from equimus_ctrl.diagnosis.hypothesis import Part, default_free_parameters, parameters_of
-from equimus_ctrl.diagnosis.torque_agreement import share_in_torques, shown_in_torques
+from equimus_ctrl.diagnosis.torque_agreement import left_over, share_in_torques, shown_in_torques
 from equimus_ctrl.diagnosis.torque_columns import columns_of
 from equimus_ctrl.diagnosis.torque_screening import torque_domain, torque_screen
 from equimus_ctrl.diagnosis.torque_start import laws_asked_for, worth_simulating
@@ -174,6 +174,8 @@ def test_the_torque_domain_tells_a_law_that_is_there_from_one_that_is_not() -> N
     there, not_there = (share_in_torques(data, domain, fitted, k) for k in (0, 1))
     assert there == pytest.approx(1.0, abs=0.25) and not_there < 0.1
     assert [shown_in_torques(data, domain, fitted, k) for k in (0, 1)] == [True, False]
+    left = left_over(data, domain, fitted)
+    assert left[0] < 0.1 < 10 < left[1]
     fitted = SimpleNamespace(hypothesis=(parts[0], *parts[2:]), fit=SimpleNamespace(theta=theta))
     assert [share_in_torques(data, domain, fitted, k) for k in (1, 2)] == [np.inf, np.inf]
 

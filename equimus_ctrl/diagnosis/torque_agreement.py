@@ -9,6 +9,8 @@ adds to them at the sizes c that simulation found, and the parameters to estimat
     share = max over c' (‖r‖² − ‖r − C c'‖²) / ‖C c‖²
 
 is 1 where both agree, and 0 where the forces show nothing of it.
+
+The other way round, a residual force that the torque domain has no room for is no reason to call a law another one.
 """
 
 from __future__ import annotations
@@ -20,7 +22,7 @@ import numpy as np
 
 from equimus_ctrl.diagnosis.fitting import Data, Fitted
 from equimus_ctrl.diagnosis.hypothesis import parameters_of
-from equimus_ctrl.diagnosis.torque_screening import CORRELATED, WEAK, TorqueDomain, screened_at
+from equimus_ctrl.diagnosis.torque_screening import CORRELATED, WEAK, TorqueDomain, screened_at, torque_screen
 from equimus_ctrl.effects.force import ForceEffect
 
 
@@ -65,3 +67,23 @@ def shown_in_torques(data: Data, domain: TorqueDomain, fitted: Fitted, k: int) -
     """Whether the torque domain shows enough of a part, see ``Thresholds.torque_share``, or says nothing of it."""
     share = share_in_torques(data, domain, fitted, k)
     return data.thresholds.decides(lambda t: share >= t.torque_share)
+
+
+def left_over(data: Data, domain: TorqueDomain, fitted: Fitted) -> dict[int, float]:
+    """For places of force laws χ² that all parts leave in the torque domain, over by how much each lets it fall.
+
+    No force can explain more than what is left, wherever and on whatever it depends. What the torque domain does not
+    show of other parts counts as left.
+
+    Args:
+        data: what was measured.
+        domain: the same in the torque domain.
+        fitted: the hypothesis.
+    """
+    laws = {k: part for k, part in enumerate(fitted.hypothesis) if issubclass(part.candidate.effect, ForceEffect)}
+    pool = {k: replace(part.candidate, guesses=(part.values,)) for k, part in laws.items()}
+    screen = torque_screen(data, domain, None, list(pool.values()))
+    columns = {k: own for k, candidate in pool.items() for own in screen.columns if own.candidate is candidate}
+    left, _ = screen.fitted(list(columns.values()))
+    falls = {k: screen.fitted([own for j, own in columns.items() if j != k])[0] - left for k in columns}
+    return {k: left / max(fall, 1e-300) for k, fall in falls.items()}
