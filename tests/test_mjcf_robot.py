@@ -8,6 +8,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+import mujoco
 import numpy as np
 import pytest
 from mjcf_models import CRANE, PENDULUM, pendulum, refusal, slider
@@ -326,6 +327,17 @@ TAKEN = {
 def test_actuators_with_laws_of_their_own_are_taken(what: str) -> None:
     robot = MjcfRobot("cart", TAKEN[what])
     assert robot.actuator_names == ("drive",) and robot.actuators[0].joint == "way" and not robot.obstacles
+
+
+def test_the_voltage_of_a_motor_with_a_controller_is_a_parameter() -> None:
+    """Beyond it a servo that is held at rest exerts K V/R, whatever its goal."""
+    motor = '<dcmotor name="drive" joint="way" resistance="2" motorconst="0.5" input="pos" controller="9 0 0 0 0 6"/>'
+    robot = MjcfRobot("cart", slider(motor)).with_parameters({"drive.voltage_limit": 3.0})
+    model = robot.mujoco_model()
+    data = mujoco.MjData(model)
+    data.ctrl[0] = 10.0
+    mujoco.mj_forward(model, data)
+    assert data.actuator_force[0] == pytest.approx(0.5 * 3.0 / 2)
 
 
 def test_each_command_of_an_actuator_has_a_column() -> None:

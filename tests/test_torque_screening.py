@@ -14,7 +14,8 @@ from pendulum_runs import FINE, MOTOR, PENDULUM, SERVO, recorded
 from equimus_ctrl.diagnosis.candidates import candidates
 from equimus_ctrl.diagnosis.fitting import Data
 from equimus_ctrl.diagnosis.holdout import split
-from equimus_ctrl.diagnosis.hypothesis import Part, default_free_parameters
+from equimus_ctrl.diagnosis.hypothesis import Part, default_free_parameters, parameters_of
+from equimus_ctrl.diagnosis.torque_agreement import left_over, share_in_torques, shown_in_torques
 from equimus_ctrl.diagnosis.torque_columns import columns_of
 from equimus_ctrl.diagnosis.torque_screening import torque_domain, torque_screen
 from equimus_ctrl.diagnosis.torque_start import laws_asked_for, worth_simulating
@@ -154,6 +155,46 @@ def test_a_search_begins_with_nothing_where_nothing_is_missing() -> None:
     pool = candidates(Model(ROBOT), data.segments)
     domain = torque_domain(data, pool)
     assert domain is not None and laws_asked_for(data, domain, pool, 3) is None
+
+
+def test_the_torque_domain_tells_a_law_that_is_there_from_one_that_is_not() -> None:
+    """A ripple that simulation had found beside true viscous friction; dry friction is not asked for."""
+    data = data_of(ROBOT, recorded(Model(ROBOT, (ViscousFriction("hinge", 0.1),)), seed=1, seconds=8.0))
+    pool = {c.label: c for c in candidates(Model(ROBOT), data.segments)}
+    domain = torque_domain(data, tuple(pool.values()))
+    assert domain is not None
+    parts = (
+        Part(pool["viscous_friction:hinge"], {"damping": 0.1}),
+        Part(pool["torque_ripple:hinge"], {"sine": 0.05, "cosine": 0.02, "period": 0.7}),
+        Part(pool["coulomb_friction:hinge"], {"friction": 0.05}),
+        Part(pool["quadratic_damping:hinge"], {"drag": 1e-6}),  # too little to be seen
+    )
+    theta = np.append(data.free.start, [value for part in parts for value in part.values.values()])
+    fitted: Any = SimpleNamespace(hypothesis=parts[:2], fit=SimpleNamespace(theta=theta))
+    there, not_there = (share_in_torques(data, domain, fitted, k) for k in (0, 1))
+    assert there == pytest.approx(1.0, abs=0.25) and not_there < 0.1
+    assert [shown_in_torques(data, domain, fitted, k) for k in (0, 1)] == [True, False]
+    left = left_over(data, domain, fitted)
+    assert left[0] < 0.1 < 10 < left[1]
+    fitted = SimpleNamespace(hypothesis=(parts[0], *parts[2:]), fit=SimpleNamespace(theta=theta))
+    assert [share_in_torques(data, domain, fitted, k) for k in (1, 2)] == [np.inf, np.inf]
+
+
+@pytest.mark.parametrize(("interpolation", "least"), [("hold", 0.0), ("linear", 0.5)])
+def test_where_commands_go_along_lines_no_delay_of_less_than_half_a_row_is_looked_for(
+    interpolation: str, least: float
+) -> None:
+    one = recorded(Model(ROBOT), count=1, seed=3, seconds=4.0)[0]
+    data = data_of(ROBOT, [replace(one, notes={"interpolation": interpolation})])
+    pool = [
+        c for c in candidates(Model(ROBOT), data.segments) if c.effect in (TransportDelay, FirstOrderLag, SensorDelay)
+    ]
+    between = float(np.median(np.diff(one.time)))
+    assert len(pool) == 3
+    for candidate in pool:
+        (guess, *_) = candidate.guesses
+        own = parameters_of(data.free, (Part(candidate, dict.fromkeys(guess, 0.0)),)).free[-1]
+        assert own.low == pytest.approx(least * between) and own.start == own.low
 
 
 def two_joints(damping: float = 0.0) -> MjcfRobot:

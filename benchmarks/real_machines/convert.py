@@ -70,8 +70,10 @@ def emps(folder: Path) -> dict[str, list[Recording]]:
         notes = {"source": f"emps/{name}.mat"}
         trials.append(recording(name.lower(), time, {"motor": force}, {"screw": position}, notes))
         if name == "DATA_EMPS":
-            # All of it: between two kept goals the loop is so stiff that a step as long would saturate it.
-            whole = recording(f"{name.lower()}_loop", data["t"], {"servo": data["qg"]}, {"screw": data["qm"]}, notes)
+            # All of it: between two kept goals the loop is so stiff that a step as long would saturate it. The
+            # controller compares goal and position of one instant: held beside a position that moves, a goal is late.
+            together = notes | {"interpolation": "linear"}
+            whole = recording(f"{name.lower()}_loop", data["t"], {"servo": data["qg"]}, {"screw": data["qm"]}, together)
             loops.append(whole)
     return {"emps": trials, "emps_loop": loops}
 
@@ -159,7 +161,7 @@ def xl330(folder: Path) -> dict[str, list[Recording]]:
         notes = {
             "source": f"xl330/processed/{path.name}",
             "times.servo.kp": f"{supply * data['kp'] / NOMINAL_GAIN:.6g}",
-            "times.servo.force_limit": f"{supply:.6g}",
+            "times.servo.voltage_limit": f"{supply:.6g}",
         }
         name = f"{data['trajectory']}_kp{data['kp']}"
         trials.append(recording(name, t, {"servo": goal}, {"horn": q}, notes))

@@ -10,6 +10,8 @@ import argparse
 import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from fnmatch import fnmatch
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +19,7 @@ import numpy as np
 
 from equimus_ctrl import presets, workflow
 from equimus_ctrl.diagnosis.results import Diagnosis
+from equimus_ctrl.identification.parameters import default_bounds
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.report.diagnosis_page import page
 from equimus_ctrl.robots.mjcf.robot import mjcf_of
@@ -30,7 +33,8 @@ class Case:
 
     Attributes:
         title: for people.
-        model: file beside this one; or the name of the case whose corrected model it goes on from.
+        model: file beside this one; or the name of the case whose corrected model it goes on from, what that found
+            being known within its intervals.
         recordings: folder that ``convert.py`` writes.
         free: what may be wrong about the model's numbers.
         heldout: patterns of the trials that judge.
@@ -126,20 +130,35 @@ CASES = {
         "XL330 servo, friction concealed",
         "xl330.xml",
         "xl330",
-        ("horn.armature", "horn.damping", "servo.kp", "servo.force_limit"),
+        ("horn.armature", "servo.kp", "servo.kd", "servo.resistance"),
         ("sin_time_square*",),
         "friction that grows with the load",
     ),
 }
 
 
+def intervals(model: Model, record: Path, free: Sequence[str]) -> dict[str, tuple[float, float]]:
+    """Between what those numbers of a case's findings lie that some patterns fit, by its record: 95 % intervals."""
+    known = dict[str, tuple[float, float]]()
+    for finding in json.loads(record.read_text(encoding="utf-8"))["findings"]:
+        for place, (key, own) in product(finding["locations"], finding["parameters"].items()):
+            name = f"{place}.{finding['effect']}.{key}"
+            if any(fnmatch(name, pattern) for pattern in free):
+                low, high = default_bounds(model, name)
+                ends = (low if own["low"] is None else own["low"], high if own["high"] is None else own["high"])
+                known[name] = max(low, ends[0]), min(high, ends[1])
+    return known
+
+
 def diagnosed(name: str, folder: Path, output: Path) -> Diagnosis:
     """A case diagnosed, its record, page and corrected model written."""
     case = CASES[name]
-    source = HERE / case.model if case.model.endswith(".xml") else output / case.model / "corrected.toml"
+    goes_on = not case.model.endswith(".xml")
+    source = output / case.model / "corrected.toml" if goes_on else HERE / case.model
     model = workflow.load_model(source)
+    bounds = intervals(model, output / case.model / "record.json", case.free) if goes_on else None
     found = workflow.diagnose_recordings(
-        [folder / case.recordings], model, free=case.free, validation=case.heldout,
+        [folder / case.recordings], model, free=case.free, bounds=bounds, validation=case.heldout,
         progress=lambda stage, share, best: print(f"  {share:4.0%} {stage}: {best}", flush=True),
     )  # fmt: skip
     own = output / name

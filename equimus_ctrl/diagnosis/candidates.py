@@ -18,6 +18,9 @@ from equimus_ctrl.robots.base import Robot
 
 DELAY_SHARE = 0.2
 """Longest delay or lag that is looked for, as a share of the longest shooting interval."""
+BETWEEN_ROWS = 0.5
+"""Shortest one where commands go along lines, as a share of the time between rows: a command that is held from row to
+row in place of that comes so much later in the mean, and recordings do not show what it does between them."""
 
 
 def candidates(
@@ -29,17 +32,21 @@ def candidates(
     each: what is built alike ails alike, and what is not may still ail of the same.
     """
     robot, excitation = model.robot, excitation_of(model, segments)
-    most_time = _longest_delay(model, segments)
+    least_time, most_time = _shortest_delay(segments), _longest_delay(model, segments)
     found: dict[str, Candidate] = {}
     for name in sorted(registry):
         cls = registry[name]
         if not cls.simulated or robot.traits.catalogue not in cls.robots:
             continue
-        most = {key: most_time for key, info in cls.parameter_info().items() if cls.delays and info["unit"] == "s"}
+        times = [key for key, info in cls.parameter_info().items() if cls.delays and info["unit"] == "s"]
+        most = dict.fromkeys(times, most_time)
+        least = dict.fromkeys(times, least_time) if least_time > 0 else {}
         for group in location_groups(cls, robot):
-            of_places = [[_within(cls, guess, most) for guess in cls.guesses(excitation[site])] for site in group]
+            of_places = [
+                [_within(cls, guess, least, most) for guess in cls.guesses(excitation[site])] for site in group
+            ]
             for each in (False, True) if len(group) > 1 and not robot.traits.held_in_place else (False,):
-                candidate = Candidate(cls, group, (), each, most)
+                candidate = Candidate(cls, group, (), each, most, least=least)
                 tried = _own_of_each(candidate, of_places) if each else [g for own in of_places for g in own]
                 guesses = {tuple(guess.items()): guess for guess in tried}
                 usable = tuple(guess for guess in guesses.values() if _attaches(model, candidate, guess))
@@ -57,6 +64,17 @@ def _longest_delay(model: Model, segments: Sequence[Segment]) -> float:
         return math.inf
     longest = max(float(s.trial.sample_times[-1] - s.trial.start) for s in segments)
     return DELAY_SHARE * longest
+
+
+def _shortest_delay(segments: Sequence[Segment]) -> float:
+    """What delays and lags last at least that all recordings could show [s], see ``BETWEEN_ROWS``; 0 of held commands.
+
+    Delays of less are no physics: a stiff servo whose goal comes late by the time t is as one with friction of t times
+    its stiffness in proportion to speed.
+    """
+    if not all(s.trial.linear for s in segments):
+        return 0.0
+    return BETWEEN_ROWS * max(float(np.median(np.diff(s.trial.times))) for s in segments)
 
 
 def _own_of_each(candidate: Candidate, guesses: Sequence[Sequence[Mapping[str, float]]]) -> list[dict[str, float]]:
@@ -87,13 +105,14 @@ def location_groups(cls: type[Effect], robot: Robot) -> list[tuple[str, ...]]:
     return found
 
 
-def _within(cls: type[Effect], values: Mapping[str, float], most: Mapping[str, float]) -> Mapping[str, float]:
-    """Values within the effect's bounds: sizes that follow from hardly any motion may lie beyond."""
+def _within(
+    cls: type[Effect], values: Mapping[str, float], least: Mapping[str, float], most: Mapping[str, float]
+) -> Mapping[str, float]:
+    """Values within the effect's bounds and those of the recordings: sizes from hardly any motion may lie beyond."""
     info = cls.parameter_info()
-    return {
-        key: float(np.clip(v, info[key]["low"], min(info[key]["high"], most.get(key, math.inf))))
-        for key, v in values.items()
-    }
+    low = {key: max(info[key]["low"], least.get(key, -math.inf)) for key in values}
+    high = {key: min(info[key]["high"], most.get(key, math.inf)) for key in values}
+    return {key: float(np.clip(v, low[key], high[key])) for key, v in values.items()}
 
 
 def _attaches(model: Model, candidate: Candidate, values: Mapping[str, float]) -> bool:

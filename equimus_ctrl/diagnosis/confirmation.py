@@ -21,12 +21,13 @@ from equimus_ctrl.diagnosis.noise_size import noise_sizes
 from equimus_ctrl.diagnosis.policy import Thresholds
 from equimus_ctrl.diagnosis.search import Search
 from equimus_ctrl.diagnosis.search_state import SearchState, Undecided
+from equimus_ctrl.diagnosis.torque_agreement import share_in_torques
 from equimus_ctrl.identification.noise import log_likelihood, whiten
 from equimus_ctrl.identification.residuals import residuals_of
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.types import Array
 
-Reason = Literal["gain", "distance", "evident", "uninformative", "worse", "scatter"]
+Reason = Literal["gain", "distance", "evident", "uninformative", "worse", "scatter", "torques"]
 """By what a part is confirmed, or is not:
 
 - gain: what validation trials gain by it, over what as many samples of the fitted ones gain.
@@ -37,6 +38,7 @@ Reason = Literal["gain", "distance", "evident", "uninformative", "worse", "scatt
 - worse: with it half of a kind of validation trials gets worse than without any effect, see ``Thresholds.worse``.
 - scatter: residuals are more than noise, and its gain on the fitted trials does not stand out from how they scatter
   from block to block, see ``block_scatter``.
+- torques: inverse dynamics along the measured motion do not show it, see ``torque_agreement``.
 """
 
 
@@ -47,15 +49,18 @@ class Confirmation:
     Attributes:
         reason: see ``Reason``.
         ratio: to be at least ``Thresholds.validation_share``; inf where the part is evident. Of "worse" χ² there, over
-            that of the refitted model. Of "scatter" the same share of the gain over the one it would have to have.
+            that of the refitted model. Of "scatter" and "torques" the same share of the gain over the one it would have
+            to have, and of ``shown`` over the least.
         where: the trials that get worse.
         dispersion: how much more than by their noise residuals scatter over blocks.
+        shown: see ``share_in_torques``.
     """
 
     reason: Reason
     ratio: float
     where: str = ""
     dispersion: float = 1.0
+    shown: float = math.inf
 
     def __str__(self) -> str:
         """A clause for the report."""
@@ -68,6 +73,7 @@ class Confirmation:
             "worse": f"with it {self.where} has {self.ratio:.3g} times the squared error of the refitted model",
             "scatter": f"residuals are more than noise: from block to block they scatter {self.dispersion:.3g} times "
             "as much, and its gain does not stand out from that",
+            "torques": f"inverse dynamics along the measured motion show {self.shown:.3g} of what they would of it",
         }
         return said[self.reason]
 
@@ -290,10 +296,15 @@ def _same_effects(first: Fitted, second: Fitted) -> bool:
 def confirmation_of(search: Search, holdout: HoldoutResiduals, simple: Fitted, rich: Fitted) -> Confirmation:
     """What recordings say of the part by which a hypothesis is richer, before it is named.
 
-    The fitted trials say whether its gain stands out from the scatter of what is left, the held-out ones whether it
-    carries over. A residual force has no name that could be wrong, so it is asked for the latter alone.
+    The fitted trials say whether its gain stands out from the scatter of what is left, and whether inverse dynamics
+    show it, the held-out ones whether it carries over. A residual force has no name that could be wrong, so it is asked
+    for the latter alone.
     """
-    return _lost_in_scatter(search, simple, rich) or carried_over(search, holdout, simple, rich)
+    return (
+        _lost_in_scatter(search, simple, rich)
+        or _not_in_torques(search, simple, rich)
+        or carried_over(search, holdout, simple, rich)
+    )
 
 
 def _lost_in_scatter(search: Search, simple: Fitted, rich: Fitted) -> Confirmation | None:
@@ -308,6 +319,18 @@ def _lost_in_scatter(search: Search, simple: Fitted, rich: Fitted) -> Confirmati
         return None
     dispersion = block_scatter(times, simple, rich, round(thresholds.blocks)).dispersion
     return Confirmation("scatter", thresholds.validation_share * over_needed(thresholds), dispersion=dispersion)
+
+
+def _not_in_torques(search: Search, simple: Fitted, rich: Fitted) -> Confirmation | None:
+    """The part by which a hypothesis is richer that inverse dynamics do not show; None where they show all."""
+    if (domain := search.torque_domain) is None:
+        return None
+    more = [k for k, part in enumerate(rich.hypothesis) if part.candidate.label not in simple.labels]
+    least = min((share_in_torques(search.data, domain, rich, k) for k in more), default=math.inf)
+    thresholds = search.data.thresholds
+    if thresholds.decides(lambda t: least >= t.torque_share):
+        return None
+    return Confirmation("torques", thresholds.validation_share * least / thresholds.torque_share, shown=least)
 
 
 def carried_over(search: Search, holdout: HoldoutResiduals, simple: Fitted, rich: Fitted) -> Confirmation:

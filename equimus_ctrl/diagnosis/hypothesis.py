@@ -53,6 +53,7 @@ class Candidate:
         own: parameters that have a value of their own in a group of trials, each with the group.
         absent: groups of trials in which it does not act.
         given: parameters of the effect that are not estimated, by key: where a spline's knots are, say.
+        least: lower bounds that recordings set, as ``most``: what a delay shorter than that is, they do not show.
     """
 
     effect: type[Effect]
@@ -63,6 +64,7 @@ class Candidate:
     own: tuple[tuple[str, str], ...] = ()
     absent: tuple[str, ...] = ()
     given: Mapping[str, float] = field(default_factory=dict)
+    least: Mapping[str, float] = field(default_factory=dict)
 
     @cached_property
     def common(self) -> tuple[OwnParameter, ...]:
@@ -125,9 +127,7 @@ class Candidate:
         here = {p.name: p.key for p in self.common if location in p.places}
         guesses = tuple({key: guess[name] for name, key in here.items()} for guess in self.guesses)
         own = tuple((here[name], group) for name, group in self.own if name in here)
-        return Candidate(
-            self.effect, (location,), guesses, most=self.most, own=own, absent=self.absent, given=self.given
-        )
+        return replace(self, locations=(location,), guesses=guesses, each=False, own=own)
 
     def narrowed(self, locations: tuple[str, ...]) -> Candidate:
         """The same law at fewer of the places that have parameters of their own."""
@@ -136,7 +136,7 @@ class Candidate:
         kept = [own.name for own in self.common if set(own.places) & set(locations)]
         guesses = tuple({name: guess[name] for name in kept} for guess in self.guesses)
         own = tuple((name, group) for name, group in self.own if name in kept)
-        return Candidate(self.effect, locations, guesses, self.each, self.most, own, self.absent, self.given)
+        return replace(self, locations=locations, guesses=guesses, own=own)
 
 
 @dataclass(frozen=True, eq=False)
@@ -282,6 +282,7 @@ def parameters_of(free: FreeParameters, hypothesis: Hypothesis) -> FreeParameter
             names = [prefix_of[place] + p.key for place in p.places]
             bounds = [default_bounds(whole, name) for name in names]
             low, high = max(b[0] for b in bounds), min(b[1] for b in bounds)
+            low = max(low, part.candidate.least.get(p.key, low))
             high = min(high, max(part.candidate.most.get(p.key, high), value))
             size = abs(value) or None
             start = float(np.clip(value, low, high))

@@ -18,6 +18,7 @@ from equimus_ctrl.diagnosis.policy import SearchSettings, Thresholds
 from equimus_ctrl.diagnosis.richer_laws import richer
 from equimus_ctrl.diagnosis.screening import ESTIMATED, WHITE, Screened, screen
 from equimus_ctrl.diagnosis.search_state import Choice, Extended, Proposal, SearchHistory, SearchState
+from equimus_ctrl.diagnosis.torque_agreement import shown_in_torques
 from equimus_ctrl.diagnosis.torque_screening import TorqueDomain, torque_domain
 from equimus_ctrl.diagnosis.torque_start import worth_simulating
 from equimus_ctrl.errors import ConfigError, SimulationDiverged
@@ -417,12 +418,15 @@ class HypothesisMoves:
     def aliased(self, fitted: Fitted) -> bool:
         """Whether the last part of a hypothesis stands for other parameters, see ``Data.aliased``.
 
-        Where bounds are wide and minima many, also where its size may be nothing, see ``Data.may_be_nothing``.
+        Where bounds are wide and minima many, also where its size may be nothing, see ``Data.may_be_nothing``, or
+        where the torque domain does not show it, see ``shown_in_torques``.
         """
         last = len(fitted.hypothesis) - 1
         if last < 0:
             return False
-        return self.data.aliased(fitted, last) or (self.settings.many_minima and self.data.may_be_nothing(fitted, last))
+        if self.data.aliased(fitted, last) or (self.settings.many_minima and self.data.may_be_nothing(fitted, last)):
+            return True
+        return (domain := self.torque_domain) is not None and not shown_in_torques(self.data, domain, fitted, last)
 
     def exchanged(self, state: SearchState) -> SearchState:
         """Parts that are not needed dropped, parts for which others fit better exchanged."""

@@ -121,10 +121,18 @@ class Thresholds:
         "a gain Δ expected there is normal with variance 4Δ; at the least gain that is accepted, about 20, 5 % of true "
         "effects gain less than 20 − 1.64·2·√20 = 5.3, a quarter",
     )
+    torque_share: float = _decides(
+        0.25,
+        "",
+        "least share of what a smooth force at a joint would explain of the forces along the measured motion, at the "
+        "size that simulation found, that it does explain there",
+        "convention",
+        "the sizes found in the two ways then differ by a factor of two",
+    )
     uninformative: float = _decides(
         16.0,
         "χ²",
-        "validation trials on which two models differ by less do not decide between them",
+        "validation trials, or measured forces, on which two models differ by less do not decide between them",
         "theory",
         "the gain of the true one, 16 in the mean, is then two of its standard deviations, 2·√16, above nothing",
     )

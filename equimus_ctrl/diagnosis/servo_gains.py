@@ -45,7 +45,7 @@ WITHIN = 10.0
 LOADED = 0.05
 """Share of its load that does not go with its own motion, from which on a joint is loaded by others or gravity."""
 NO_LIMIT = 1e6
-"""Of a force, to see what a servo would do without its own."""
+"""Of a force or a voltage, to see what a servo would do without its own."""
 NO_ROTOR = 1e-9
 """Rotor inertia of none: MuJoCo's parameters of it stay above 0."""
 
@@ -146,7 +146,13 @@ def servo_gains(model: Model, recordings: Sequence[Recording]) -> tuple[ServoGai
 
 def _bodies_alone(model: Model) -> Model:
     """The model without friction and rotor inertias, and its servos without limits."""
-    without = {".force_limit": NO_LIMIT, ".damping": 0.0, ".frictionloss": 0.0, ".armature": NO_ROTOR}
+    without = {
+        ".force_limit": NO_LIMIT,
+        ".voltage_limit": NO_LIMIT,
+        ".damping": 0.0,
+        ".frictionloss": 0.0,
+        ".armature": NO_ROTOR,
+    }
     kinds = {name: without.get(name[name.rfind(".") :]) for name, value in model.robot.parameters().items() if value}
     return model.with_parameters({name: value for name, value in kinds.items() if value is not None})
 

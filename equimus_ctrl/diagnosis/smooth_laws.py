@@ -33,6 +33,7 @@ from equimus_ctrl.diagnosis.policy import Thresholds
 from equimus_ctrl.diagnosis.residuals import ResidualForce, Unexplained
 from equimus_ctrl.diagnosis.search import Search
 from equimus_ctrl.diagnosis.search_state import SearchState
+from equimus_ctrl.diagnosis.torque_agreement import left_over
 from equimus_ctrl.diagnosis.torque_screening import CORRELATED, torque_screen
 from equimus_ctrl.diagnosis.unexplained import GENERALISED, ResidualAnalysis, residual_analysis
 from equimus_ctrl.effects.excitation import Excitation
@@ -97,7 +98,7 @@ def analysed(search: Search, state: SearchState, split: Split, before: Sequence[
         before: what was left beside laws of which some were rejected: its joints are asked again, with or without
             other laws, where no force is found at them to first order.
     """
-    own = residual_analysis(search.data, state.base, state.best, state.without)
+    own = _with_room(search, state.best, residual_analysis(search.data, state.base, state.best, state.without))
     also = _places(before) - _places(own.unexplained)
     if own.redundant or not (state.best.hypothesis or also) or search.data.free.model.robot.traits.held_in_place:
         return own
@@ -117,6 +118,23 @@ def analysed(search: Search, state: SearchState, split: Split, before: Sequence[
         dict.fromkeys(places, GENERALISED),
         {k: locations for k, locations in stay.items() if locations},
     )
+
+
+def _with_room(search: Search, best: Fitted, analysis: ResidualAnalysis) -> ResidualAnalysis:
+    """The same without laws that are called others by a force which the torque domain has no room for.
+
+    All that is left there is less than the share of such a law's own gain from which on hypotheses are distinguished.
+    """
+    asked = {k for k, reason in analysis.redundant.items() if reason == GENERALISED}
+    if not asked or (domain := search.torque_domain) is None:
+        return analysis
+    left, thresholds = left_over(search.data, domain, best), search.data.thresholds
+    small = {k for k in asked & left.keys() if thresholds.decides(partial(_no_room, left[k]))}
+    return replace(analysis, redundant={k: why for k, why in analysis.redundant.items() if k not in small})
+
+
+def _no_room(left: float, t: Thresholds) -> bool:
+    return left < t.indistinguishable_share
 
 
 def analysed_without(search: Search, state: SearchState, split: Split, beside: ResidualAnalysis) -> ResidualAnalysis:

@@ -6,7 +6,6 @@ each of them.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
@@ -66,7 +65,8 @@ class Columns:
         """Between what a parameter can be."""
         key = self._key(name)
         info = self.candidate.effect.parameter_info()[key]
-        return float(info["low"]), min(float(info["high"]), self.candidate.most.get(key, math.inf))
+        low, high = float(info["low"]), float(info["high"])
+        return max(low, self.candidate.least.get(key, low)), min(high, self.candidate.most.get(key, high))
 
     def unit(self, name: str) -> float:
         """What a coefficient of 1 changes a parameter by: a law's column is its slope, else the guess's own way."""

@@ -242,6 +242,13 @@ def torque_screen(data: Data, domain: TorqueDomain, fitted: Fitted | None, pool:
     """
     free = data.free if fitted is None else fitted.fit.parameters
     theta = free.start if fitted is None else fitted.fit.theta
+    return screened_at(free, theta, data, domain, pool)
+
+
+def screened_at(
+    free: FreeParameters, theta: Array, data: Data, domain: TorqueDomain, pool: Sequence[Candidate]
+) -> TorqueScreen:
+    """What candidates explain of the missing forces of a model with these parameters."""
     return _screen(free, theta, data.free, domain, pool, data.budget.check)
 
 

@@ -271,7 +271,7 @@ def _own_law(base: Any, drive: Drive, force_unit: str, position_unit: str) -> It
         entries = [("ki", 0, f"{force_unit}/({position_unit}·s)")]
     else:
         entries = [("resistance", 0, "Ω"), ("motorconst", 1, f"{force_unit}/A"), ("kp", 4, stiffness)]
-        entries += [("ki", 5, f"{force_unit}/({position_unit}·s)"), ("kd", 6, damping)]
+        entries += [("ki", 5, f"{force_unit}/({position_unit}·s)"), ("kd", 6, damping), ("voltage_limit", 7, "V")]
     for key, entry, unit in entries:
         value = float(base.actuator_gainprm[i, entry])
         if value > 0:
