@@ -14,6 +14,7 @@ from mjcf_models import RIG, pendulum, refusal
 from equimus_ctrl import presets, workflow
 from equimus_ctrl.computer import Workers
 from equimus_ctrl.controllers.pid_settings import PidSettings
+from equimus_ctrl.controllers.search_space import Narrowing
 from equimus_ctrl.effects import PayloadMass, TransportDelay
 from equimus_ctrl.models.model import Model, nominal_model
 from equimus_ctrl.robots.mjcf.robot import MjcfRobot
@@ -68,12 +69,25 @@ def test_members_are_the_model_the_latest_and_others_within_the_spread() -> None
 
 
 def test_candidates_are_factors_on_placed_gains_to_six_digits(problem: PlantProblem) -> None:
-    placed = PidSettings.from_dict(problem.first.table)
+    placed = PidSettings.from_dict(problem.candidate(np.ones(4)).table)
     found = PidSettings.from_dict(problem.candidate(np.array([2.0, 0.5, 1.0, 3.0])).table)
     own, first = found.gains["pivot"], placed.gains["pivot"]
     assert own.kp == pytest.approx(2 * first.kp, rel=1e-5) and own.ki == pytest.approx(first.ki / 2, rel=1e-5)
     assert found.derivative_time == pytest.approx(3 * placed.derivative_time, rel=1e-5) and found.decoupled
     assert own.kd == float(f"{own.kd:.6g}")
+
+
+def test_a_search_begins_with_placed_gains_slow_enough_for_every_robot(problem: PlantProblem) -> None:
+    """Powers of one speed, by which a triple integrator's loop stays the same but for its time scale."""
+    kp, ki, kd, filtered = problem.first.values.values()
+    assert kp == pytest.approx(kd**2, rel=1e-5) and ki == pytest.approx(kd**3, rel=1e-5) and filtered == 1.0
+    placed, slower = problem.candidate(np.ones(4)), problem.first
+    kept = [[problem.keeps(*problem.moduli(own, robot)) for robot in problem.members] for own in (placed, slower)]
+    assert kept[0] == [True, False] and all(kept[1]) and 0.5 < kd < 1.0
+    study = quick(search={"kp": Narrowing(start=1.0)})
+    scenarios = [workflow.load_scenario(o.scenario, ARM, search=False) for o in study.objectives]
+    said = make_plant_problem(study, Model(ARM), scenarios)
+    assert set(said.first.values.values()) == {1.0}
 
 
 def test_placed_gains_are_stable_on_the_ensemble_and_wild_ones_are_refused(problem: PlantProblem) -> None:

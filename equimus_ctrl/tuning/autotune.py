@@ -191,13 +191,14 @@ def best_feasible(
     if not history:
         raise NothingFeasible(f"the search was stopped before any {noun} were tried")
     nearest = min(history, key=lambda trial: trial.evaluation.cost).evaluation
+    ran = ""
+    if not math.isnan(nearest.overshoot):
+        ran = f"overshoots by {nearest.overshoot:.0%}, is saturated {nearest.saturation:.0%} of the time, "
     why = (
         f"is unstable on some {member}"
         if not nearest.stable
-        else (
-            f"overshoots by {nearest.overshoot:.0%}, is saturated {nearest.saturation:.0%} of the time, its slowest "
-            f"mode has modulus {nearest.modulus:.4f}, and {nearest.raised_modulus:.4f} with the gain margin"
-        )
+        else f"{ran}its slowest mode has modulus {nearest.modulus:.4f}, and {nearest.raised_modulus:.4f} with the gain "
+        "margin"
     )
     raise NothingFeasible(
         f"none of {len(history)} {noun} is stable and within the limits on every {member}; the nearest {why}"

@@ -83,8 +83,9 @@ class Outcome:
     """One candidate on one leg in one scenario.
 
     Attributes:
-        terms: (6,) error, overshoot, settling, offset, effort, chatter.
-        saturation: share of the time at a pressure limit.
+        terms: (6,) error, overshoot, settling, offset, effort, chatter; NaN where it was not run, for its linearised
+            loops are beyond the limits.
+        saturation: share of the time at a pressure limit; NaN likewise.
         restless: how far the joints still swing in the last quarter of a step-like scenario [rad].
         diverged: whether the simulation left the range where its numbers mean anything.
     """
@@ -129,6 +130,8 @@ class Evaluation:
         raised_modulus: the same with all gains raised by the gain margin asked for.
         stable: False where any leg diverged, would not come to rest, or has a loop that is not stable.
         feasible: stable and within the limits.
+        beaten: not tried to the end, for it was not to become the cheapest; its cost is then what it is at least where
+            it does as well on the remaining robots as is thought possible.
     """
 
     cost: float
@@ -140,11 +143,19 @@ class Evaluation:
     raised_modulus: float
     stable: bool
     feasible: bool
+    beaten: bool = False
+
+    @property
+    def within(self) -> bool:
+        """Whether its cost is no penalty."""
+        return self.feasible or self.beaten
 
     @property
     def told(self) -> str:
         """Its cost for people, who have no use for a penalty."""
-        return f"{self.cost:.4f}" if self.feasible else "beyond a limit" if self.stable else "unstable"
+        if self.within:
+            return f"{'at least ' if self.beaten else ''}{self.cost:.4f}"
+        return "beyond a limit" if self.stable else "unstable"
 
     def to_dict(self) -> dict[str, Any]:
         """Plain types, for a journal."""
@@ -158,6 +169,7 @@ class Evaluation:
             "raised_modulus": self.raised_modulus,
             "stable": self.stable,
             "feasible": self.feasible,
+            "beaten": self.beaten,
         }
 
     @classmethod
@@ -437,7 +449,8 @@ def judged(legs: Sequence[LegOutcome], counts: Sequence[float], weighing: Weight
     weighted = np.einsum("mtk,t->mk", terms, shares) * weights
     member_costs = weighted.sum(axis=1)
     cost = (1 - weighing.worst) * member_costs.mean() + weighing.worst * member_costs.max()
-    beyond = max(overshoot - limits.overshoot, 0.0) + max(saturation - limits.saturation, 0.0)
+    told = ((overshoot, limits.overshoot), (saturation, limits.saturation))
+    beyond = sum(max(own - most, 0.0) for own, most in told if not math.isnan(own))
     modulus = max(leg.modulus for leg in legs) if calm else math.nan
     stable = calm and modulus < 1
     raised = max(leg.raised_modulus for leg in legs) if stable else math.nan
