@@ -140,7 +140,7 @@ class Inverse:
             after the last of them.
         """
         feed, states = self._feed(reference, times, state)
-        measured, held = self._shown(reference, times if stamps is None else stamps, state)
+        measured, held = self.shown(reference, times if stamps is None else stamps, state)
         return measured, self.commands(feed), replace(state, states=states, held=held)
 
     def target(self, reference: Reference, time: float, state: InverseState) -> tuple[Target, InverseState]:
@@ -233,13 +233,14 @@ class Inverse:
         command = command_for(self._effects, self.actuators, pressure, self.low, self.high)
         return np.clip(command, self.low, self.high)
 
-    def _poses(self, reference: Reference, times: Array, state: InverseState) -> Array:
+    def _poses(self, reference: Reference, times: Array, state: InverseState, start_time: float | None = None) -> Array:
         """(n, nj) where the robot is to be: the first pose fades into the reference, both at rest before [rad]."""
+        lasts = self._start_time if start_time is None else start_time
         found = np.empty((len(times), len(state.pose)))
         for k, time in enumerate(np.maximum(times, state.begun).tolist()):
             found[k] = reference.position(time)
-            if time - state.begun < self._start_time:
-                weight = blend(time - state.begun, self._start_time)
+            if time - state.begun < lasts:
+                weight = blend(time - state.begun, lasts)
                 found[k] = (1 - weight) * found[k] + weight * state.pose
         return found
 
@@ -268,12 +269,24 @@ class Inverse:
         """(n, na) under which the robot moves so (nj, n), the effects' states being (nz, n) [Pa]."""
         return self._law.commands(q, v, a, z)
 
-    def _shown(self, reference: Reference, times: Array, state: InverseState) -> tuple[Array, Array]:
-        """(n, nj) what the sensors show, and (nj,) where those with play are held in the end."""
+    def shown(
+        self, reference: Reference, times: Array, state: InverseState, start_time: float | None = None
+    ) -> tuple[Array, Array]:
+        """What the sensors show of a robot that follows.
+
+        Args:
+            reference: of the true angles.
+            times: (n,) when what is known was measured [s].
+            state: how far it has been followed.
+            start_time: in place of the inverse's own [s].
+
+        Returns:
+            Angles (n, nj) [rad], and (nj,) where sensors with play are held in the end [rad].
+        """
         angles, held = np.empty((len(times), len(state.pose))), state.held.copy()
         for sensor_delay in np.unique(self._sensor[:, SENSOR_DELAY]):
             own = np.flatnonzero(self._sensor[:, SENSOR_DELAY] == sensor_delay)
-            angles[:, own] = self._poses(reference, times - sensor_delay, state)[:, own]
+            angles[:, own] = self._poses(reference, times - sensor_delay, state, start_time)[:, own]
         for j in np.flatnonzero(self._sensor[:, PLAY] > 0):
             for k in range(len(times)):
                 angles[k, j] = held[j] = follow(held[j], angles[k, j], self._sensor[j, PLAY])

@@ -184,7 +184,7 @@ class PlantProblem:
             size = np.maximum(np.abs(way), BAND)
             beyond = np.where(np.abs(way) > BAND, after * np.sign(way), np.abs(after))
             overshoot = float(np.max(beyond.max(axis=0) / size, initial=0.0))
-            outside = np.flatnonzero(np.any(np.abs(after) > BAND, axis=1))
+            outside = np.flatnonzero(np.any(np.abs(after) > self.weights.settled, axis=1))
             settling = 0.0 if len(outside) == 0 else float((outside[-1] + 1) * dt)
             last = slice(-(len(after) // 4), None)
             restless = float(np.ptp(after[last], axis=0).max())
@@ -313,7 +313,7 @@ HARDEST = 1
 """Number of the robot of an ensemble that is hardest to keep stable."""
 SLOWER, SLOWINGS = 2**-0.25, 9
 """Factor on the speed of loops that are too fast to begin with, and how many speeds are tried: down to a quarter."""
-CHEAPER = 0.1
+CHEAPER = 0.2
 """Share by which a candidate is thought to be cheaper on a robot than any before it, where it was not tried there."""
 NOT_RUN = Outcome(np.full(len(TERMS), math.nan), math.nan, 0.0, False)
 """Of a run that was not made."""
