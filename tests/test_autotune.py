@@ -95,7 +95,7 @@ def test_the_result_is_the_cheapest_within_the_limits(result: TuningResult, stud
 
 
 def _settings(result: TuningResult, trial: Trial) -> eq.PidSettings:
-    return result.study.settings(np.array(trial.values), ("maa", "baa"))
+    return replace(result.study.settings(np.array(trial.values), ("maa", "baa")), lateness=result.problem.lateness)
 
 
 def test_the_settings_are_those_of_the_best(result: TuningResult) -> None:

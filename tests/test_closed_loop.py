@@ -337,3 +337,29 @@ def test_a_sensor_s_error_is_no_fault_of_the_gains() -> None:
     late = problem_of((SensorDelay("knee", delay=0.1), SensorDelay("hip", delay=0.1)), course(240))
     np.testing.assert_array_equal(late.wanted(0), course(240).reference)
     assert late.outcome(BRISK, 0, 0).terms[1] > problem_of((), course(240)).outcome(BRISK, 0, 0).terms[1] + 0.03
+
+
+@pytest.mark.parametrize("inverse", [False, True])
+@pytest.mark.parametrize("settings", [PID, BRISK], ids=["pid", "brisk"])
+def test_what_the_integral_compares_with_is_late_in_both(settings: eq.PidSettings, inverse: bool) -> None:
+    late = replace(settings, lateness=0.1, inverse=inverse)
+    q = agree((), late, tolerance=4 * SMOOTH)
+    assert np.abs(q - agree((), replace(late, lateness=0.0), tolerance=4 * SMOOTH)).max() > 1e-3
+
+
+def test_behind_valves_as_late_as_it_thinks_an_integral_gathers_little_at_a_start() -> None:
+    """Dead time and lag of 0.06 s, unknown: without, what was gathered of the way there has to be undone."""
+    model = eq.Model(LEG)
+    valve = np.array([[0.06, 0.06, 0.06, np.inf, np.inf, 0.0]] * 2)
+    (leg,) = make_ensemble(model, PLAIN, 1, 0)
+    there = np.tile(np.radians([90.0, 0.0]), (300, 1))
+    task = Task("hold", 1.0, there, np.zeros(2), None, True, np.zeros((300, 2)), DT)
+    problem = Problem(model, [replace(leg, valve=valve)], [task], Weights(), Limits(), inverse=True)
+    gains = {"maa": eq.PidGains(565.0, 1260.0, 3.0), "baa": eq.PidGains(120.0, 680.0, 11.0)}
+    plain = eq.PidSettings(gains, inverse=True)
+    left = []
+    for lateness in (0.0, 0.12):
+        q, _, done = problem.simulate(replace(plain, lateness=lateness), 0, 0)
+        assert done == 300
+        left.append(np.abs(q[240:] - there[240:]).max())
+    assert left[1] < np.radians(0.5) and left[1] < 0.4 * left[0]

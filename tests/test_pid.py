@@ -466,6 +466,11 @@ def test_a_robot_it_cannot_drive_is_refused(spec: eq.PlantSpec) -> None:
     lame = replace(spec, actuators=("maa",))
     with pytest.raises(eq.ControllerError, match=r"at least as many actuators as joints.* has 1 for 2.*length"):
         eq.PidController(SETTINGS["joint"]).init(lame, first)
+    late = replace(SETTINGS["joint"], decoupled=True, lateness=0.1)
+    with pytest.raises(
+        eq.ConfigError, match=r"lateness is 0\.1 s, which is of a PID that is not decoupled .* expected 0"
+    ):
+        eq.PidController(late).init(spec, first)
 
 
 def test_the_gain_matrix_has_the_kernels_rows() -> None:

@@ -14,11 +14,15 @@ from mjcf_models import RIG, pendulum, refusal
 from equimus_ctrl import presets, workflow
 from equimus_ctrl.computer import Workers
 from equimus_ctrl.controllers.pid_settings import PidSettings
+from equimus_ctrl.controllers.search_space import Narrowing
 from equimus_ctrl.effects import PayloadMass, TransportDelay
 from equimus_ctrl.models.model import Model, nominal_model
 from equimus_ctrl.robots.mjcf.robot import MjcfRobot
+from equimus_ctrl.tuning.autotune import best_feasible
 from equimus_ctrl.tuning.ensemble import make_members
+from equimus_ctrl.tuning.objective import Evaluation
 from equimus_ctrl.tuning.plant_tuning import PlantProblem, make_plant_problem
+from equimus_ctrl.tuning.search import Trial
 from equimus_ctrl.tuning.study import PlantStudy, study_from_dict
 from equimus_ctrl.workflow.runs import own_settings
 from equimus_ctrl.workflow.tuning import study_for
@@ -68,12 +72,25 @@ def test_members_are_the_model_the_latest_and_others_within_the_spread() -> None
 
 
 def test_candidates_are_factors_on_placed_gains_to_six_digits(problem: PlantProblem) -> None:
-    placed = PidSettings.from_dict(problem.first.table)
+    placed = PidSettings.from_dict(problem.candidate(np.ones(4)).table)
     found = PidSettings.from_dict(problem.candidate(np.array([2.0, 0.5, 1.0, 3.0])).table)
     own, first = found.gains["pivot"], placed.gains["pivot"]
     assert own.kp == pytest.approx(2 * first.kp, rel=1e-5) and own.ki == pytest.approx(first.ki / 2, rel=1e-5)
     assert found.derivative_time == pytest.approx(3 * placed.derivative_time, rel=1e-5) and found.decoupled
     assert own.kd == float(f"{own.kd:.6g}")
+
+
+def test_a_search_begins_with_placed_gains_slow_enough_for_every_robot(problem: PlantProblem) -> None:
+    """Powers of one speed, by which a triple integrator's loop stays the same but for its time scale."""
+    kp, ki, kd, filtered = problem.first.values.values()
+    assert kp == pytest.approx(kd**2, rel=1e-5) and ki == pytest.approx(kd**3, rel=1e-5) and filtered == 1.0
+    placed, slower = problem.candidate(np.ones(4)), problem.first
+    kept = [[problem.keeps(*problem.moduli(own, robot)) for robot in problem.members] for own in (placed, slower)]
+    assert kept[0] == [True, False] and all(kept[1]) and 0.5 < kd < 1.0
+    study = quick(search={"kp": Narrowing(start=1.0)})
+    scenarios = [workflow.load_scenario(o.scenario, ARM, search=False) for o in study.objectives]
+    said = make_plant_problem(study, Model(ARM), scenarios)
+    assert set(said.first.values.values()) == {1.0}
 
 
 def test_placed_gains_are_stable_on_the_ensemble_and_wild_ones_are_refused(problem: PlantProblem) -> None:
@@ -119,3 +136,69 @@ def test_the_leg_has_its_own_study() -> None:
     assert study_for("pid", Model(ARM)).name == "pid_any.toml"
     assert study_for("lqr", nominal_model()).name == "leg.toml"
     assert study_for("lqr", Model(ARM)).name == "any.toml"
+
+
+def judged(cost: float, members: tuple[float, ...]) -> Evaluation:
+    return Evaluation(cost, {}, members, 0.0, 0.0, 0.9, 0.9, True, True)
+
+
+def test_a_candidate_that_is_not_to_become_the_cheapest_is_not_tried_to_the_end(problem: PlantProblem) -> None:
+    (whole,) = problem.evaluations([problem.first], Workers())
+    (again,) = problem.evaluations(
+        [problem.first], Workers(), [judged(2 * whole.cost, tuple(2 * cost for cost in whole.member_costs))]
+    )
+    assert repr(again) == repr(whole) and whole.feasible and len(whole.member_costs) == 2
+    # What may still be saved on the other robot is less than what was lost on the hardest.
+    cheap = judged(0.5 * whole.cost, tuple(0.5 * cost for cost in whole.member_costs))
+    (beaten,) = problem.evaluations([problem.first], Workers(), [cheap])
+    assert beaten.beaten and not beaten.feasible and beaten.within and len(beaten.member_costs) == 1
+    assert cheap.cost < beaten.cost <= whole.cost and beaten.told == f"at least {beaten.cost:.4f}"
+    assert Evaluation.from_dict(json.loads(json.dumps(beaten.to_dict()))).to_dict() == beaten.to_dict()
+
+
+def test_a_further_dead_time_is_tried_only_of_what_would_be_the_cheapest(problem: PlantProblem) -> None:
+    """With a dead time so long that no loop bears it, who is the cheapest fails, and who is not is never asked."""
+    lost = replace(problem, margin=True, limits=replace(problem.limits, delay_margin=0.5))
+    (whole,) = problem.evaluations([problem.first], Workers())
+    (asked,) = lost.evaluations([problem.first], Workers())
+    assert not asked.within and asked.cost > 1e3
+    least = (0.0, 0.0)
+    (spared,) = lost.evaluations([problem.first], Workers(), [judged(0.99 * whole.cost, least)])
+    assert spared.beaten and spared.cost == whole.cost and spared.member_costs == whole.member_costs
+
+
+def test_a_candidate_whose_loops_are_beyond_the_limits_does_not_run(problem: PlantProblem) -> None:
+    (found,) = problem.evaluations([problem.candidate(np.ones(4))], Workers())
+    assert found.stable and not found.within and found.cost > 1e3 and np.isnan(found.overshoot)
+    said = refusal(lambda: best_feasible([Trial(0, "start", (1.0,) * 4, found, False)]))
+    assert "the nearest its slowest mode has modulus" in said and "nan" not in said
+
+
+SHORT = {
+    "members = 4 ": "members = 2 ", "unseen = 40 ": "unseen = 1 ", "duration = 4.0": "duration = 2.0",
+    "duration = 3.0": "duration = 1.0",
+}  # fmt: skip
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("controller", ["lqr", "nmpc"])
+def test_regulators_of_the_leg_are_tuned_from_the_study_to_the_file(
+    controller: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """All of the command, shortened: better than where it begins, taken up again where it stopped, and driven by run."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "tuning").mkdir()
+    text = (ROOT / "tuning" / "leg.toml").read_text()
+    for long, short in SHORT.items():
+        assert long in text
+        text = text.replace(long, short)
+    (tmp_path / "tuning" / "leg.toml").write_text(text)
+    tuned = workflow.autotune(controller, candidates=8, workers=1)
+    record = json.loads(tuned.record.read_text())
+    assert record["best"]["feasible"] and record["best"]["cost"] < record["start"]["cost"]
+    assert set(record["searched"]["tuned"]) >= {"pressure", "observer.torque", "observer.pressure"}
+    assert record["unseen"]["stable"] == record["unseen"]["robots"] == 1 and record["evaluated"] == 8
+    again = workflow.autotune(controller, candidates=8, workers=1)
+    assert again.reused == 8 and again.settings.read_text() == tuned.settings.read_text()
+    done = workflow.run_scenario("hold", controller, options={"duration": "0.3"})
+    assert np.isfinite(done.run.command).all()

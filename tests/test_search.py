@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import json
 from collections.abc import Callable, Iterator, Mapping
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -235,3 +236,51 @@ def test_no_candidate_is_tried_twice() -> None:
     search.run()
     tried = [trial.values for trial in search.history if trial.stage == "cma-es"]
     assert len(set(tried)) > 0.99 * len(tried)
+
+
+# Small budgets.
+
+
+def narrow(values: np.ndarray) -> float:
+    """A valley across four numbers, beyond limits where the first is large."""
+    z = np.log(values / np.array([3.0, 0.5, 2.0, 8.0]))
+    cost = 1 + float(z @ z) + 0.8 * float(z[0] * z[1] - z[2] * z[3])
+    return cost if values[0] < 12 else 1e3 * values[0]
+
+
+class Limited(Counter):
+    """An evaluator of ``narrow``, whose penalties are none of the cost's."""
+
+    def __call__(self, batch: list[np.ndarray]) -> Iterator[Evaluation]:
+        for values in batch:
+            self.asked.append(tuple(values.tolist()))
+            cost = narrow(values)
+            yield replace(evaluation(cost), feasible=bool(cost < 1e3))
+
+
+def few(seed: int, journal: Journal | None = None) -> Search:
+    low, high, start = np.full(4, 0.05), np.full(4, 50.0), np.full(4, 1.5)
+    return Search(low, high, start, 20, 0.0, seed, Limited(), journal or RowJournal(Rows()), lambda trial: None, [])
+
+
+def test_a_small_budget_goes_to_a_surrogate_that_comes_near_the_bottom() -> None:
+    left = []
+    for seed in range(6):
+        search = few(seed)
+        search.run()
+        stages = [key for key, _ in itertools.groupby(trial.stage for trial in search.history)]
+        assert stages == ["start", "spread", "surrogate"] and len(search.history) == 20
+        tried = np.array([trial.values for trial in search.history])
+        assert np.all((tried >= 0.05 * (1 - 1e-12)) & (tried <= 50.0 * (1 + 1e-12)))
+        left.append((search.best().evaluation.cost - 1) / (search.history[0].evaluation.cost - 1))
+    assert np.median(left) < 0.15 and max(left) < 0.6
+
+
+def test_a_surrogate_goes_on_with_the_same_bits() -> None:
+    rows = Rows()
+    whole = few(3, RowJournal(rows))
+    whole.run()
+    for kept in (1, 4, 9, 14):
+        again = few(3, RowJournal(Rows(rows.rows[:kept])))
+        again.run()
+        assert bits(again) == bits(whole) and sum(trial.reused for trial in again.history) == kept

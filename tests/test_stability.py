@@ -27,11 +27,13 @@ from equimus_ctrl.tuning.stability import (
     largest_modulus,
     linear_leg,
     linear_legs,
+    load_response,
     loop_matrix,
     margins,
     sample,
 )
 from equimus_ctrl.tuning.study import EnsembleSettings, Limits, Weights
+from equimus_ctrl.types import Array
 
 DT = 1 / 120
 POSE = np.array([1.45, 0.5])
@@ -445,3 +447,37 @@ def test_effects_with_states_are_looked_at_twice() -> None:
 def test_the_parameter_vector_and_the_morphology_agree(legs: list[Member]) -> None:
     for leg in legs:
         np.testing.assert_array_equal(leg.parameters, pack(leg.morphology))
+
+
+def test_how_far_a_leg_gives_way_is_what_its_loop_does_instant_by_instant(legs: list[Member]) -> None:
+    """Against the loop under a load that is switched on."""
+    m, load = eq.nominal_leg(), np.array([3e3, 5e3])
+    for leg in legs[:3]:
+        sampled = sample(linear_leg(leg, m, POSE, "length", "swing"), DT)
+        gains = gain_table(kp=(500.0, 150.0), ki=(800.0, 400.0), kd=(8.0, 6.0))
+        matrix = loop_matrix(sampled, gains)
+        total = 0.0
+        for i in range(2):
+            x = np.zeros(len(matrix))
+            for _ in range(4000):
+                x = matrix @ x
+                x[: len(sampled.phi)] += sampled.load[:, i] * load[i]
+                total += DT * float(x[:2] @ x[:2]) / 2
+        assert load_response(sampled, gains, load) == pytest.approx(math.sqrt(total), rel=1e-3)
+        softer = gain_table(kp=(250.0, 75.0), ki=(400.0, 200.0), kd=(4.0, 3.0))
+        assert load_response(sampled, softer, load) > 1.2 * load_response(sampled, gains, load)
+
+
+def test_a_load_acts_on_a_leg_as_its_pressures_do(legs: list[Member]) -> None:
+    """In the end C x/P is the leg's static gain, lag or none."""
+    for leg in legs[1:5]:
+        linear = linear_leg(leg, eq.nominal_leg(), POSE, "length", "swing")
+        assert linear.load is not None and linear.joints == 2
+        ours = linear.c @ np.linalg.solve(-linear.a, linear.load)
+        np.testing.assert_allclose(ours, linear.c @ np.linalg.solve(-linear.a, linear.b), rtol=1e-9)
+
+
+def gain_table(kp: tuple[float, float], ki: tuple[float, float], kd: tuple[float, float]) -> Array:
+    """(7, 2) gains with the default settings."""
+    made = [eq.PidGains(*own) for own in zip(kp, ki, kd, strict=True)]
+    return eq.PidSettings(dict(zip(("maa", "baa"), made, strict=True))).gain_matrix(("maa", "baa"))

@@ -10,6 +10,7 @@ import pytest
 from equimus_ctrl.controllers.lqr import LqrController, LqrSettings
 from equimus_ctrl.controllers.nmpc import NmpcController, NmpcSettings
 from equimus_ctrl.effects import Effect, make
+from equimus_ctrl.estimation import bank_kernel
 from equimus_ctrl.estimation.observer import Observer, ObserverState
 from equimus_ctrl.estimation.valve_bank import Sent, ValveBank
 from equimus_ctrl.models.model import Model
@@ -99,12 +100,42 @@ def test_there_is_nothing_to_be_found_where_valves_are_known_to_be_as_late_as_us
     assert half.is_open and not half.late[0].any() and half.late[1].max() == pytest.approx(0.1)
 
 
-def test_commands_are_in_force_from_one_to_the_next() -> None:
-    sent = Sent(np.array([-np.inf, 0.1, 0.2]), np.array([[1.0], [2.0], [3.0]]))
-    found = sent.between(0.05, 0.25, 0)
-    assert [value for value, _ in found] == [1.0, 2.0, 3.0]
-    np.testing.assert_allclose([span for _, span in found], [0.05, 0.1, 0.05])
-    assert sent.between(0.1, 0.2, 0) == [(2.0, pytest.approx(0.1))]
+def test_commands_pass_their_valves_one_after_the_other() -> None:
+    """Two steps through a dead time and a lag, against the exponentials that a first-order lag's step is made of."""
+    times, values = np.array([-np.inf, 0.1, 0.2]), np.array([[1.0], [2.0], [4.0]])
+    late, first = np.array([[[0.0, 0.0], [0.02, 0.05]]]), np.array([[1.0, 1.0]])
+    after, mean = np.empty((1, 2)), np.empty((1, 2))
+    bank_kernel.passed(times, values, 0.05, 0.25, late, first, after, mean)
+    assert mean[0, 0] == pytest.approx((0.05 * 1.0 + 0.1 * 2.0 + 0.05 * 4.0) / 0.2) and after[0, 0] == 4.0
+    second = 2.0 - np.exp(-0.1 / 0.05)
+    assert after[0, 1] == pytest.approx(4.0 + (second - 4.0) * np.exp(-0.03 / 0.05))
+    rises = 0.07 + 2.0 * 0.1 - 0.05 * (second - 1.0) + 4.0 * 0.03 - 0.05 * (after[0, 1] - second)
+    assert mean[0, 1] == pytest.approx(rises / 0.2)
+    assert [Sent(times, values).at(time, 0) for time in (0.05, 0.1, 0.25)] == [1.0, 2.0, 4.0]
+
+
+def test_the_likeliest_hypotheses_are_those_of_the_least_sum() -> None:
+    """Against Σ (ν − Σ Hδ)²/s of every pair of hypotheses, measurement by measurement."""
+    rng, na, k, m = np.random.default_rng(3), 2, 4, 5
+    deviation, fits, alike = rng.normal(size=(m, na * k)), np.zeros(na * k), np.zeros((na * k, na * k))
+    sums, total = np.zeros((k, k)), 0.0
+    for _ in range(30):
+        row, gain, off, variance = rng.normal(size=m), 0.1 * rng.normal(size=m), rng.normal(), rng.uniform(1, 2)
+        own = row @ deviation
+        sums += (off - own[:k, None] - own[None, k:]) ** 2 / variance
+        total += off**2 / variance
+        wanted = deviation - np.outer(gain, own)
+        bank_kernel.seen(row, gain, off, variance, deviation, fits, alike)
+        np.testing.assert_allclose(deviation, wanted, atol=1e-12)
+    each = np.array(
+        [[total + bank_kernel.unlikely(fits, alike, np.array([a, b]), k) for b in range(k)] for a in range(k)]
+    )
+    np.testing.assert_allclose(each, sums, rtol=1e-9)
+    assert bank_kernel.alike_for_all(fits, alike, na, k) == int(np.argmin(np.diag(sums)))
+    begin = np.array([int(np.argmin(np.diag(sums)))] * 2)
+    cost = bank_kernel.improved(total, fits, alike, begin, k)
+    assert cost == pytest.approx(sums[tuple(begin)])
+    assert cost <= sums[begin[0]].min() + 1e-9 and cost <= sums[:, begin[1]].min() + 1e-9
 
 
 @pytest.mark.slow

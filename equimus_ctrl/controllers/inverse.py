@@ -86,6 +86,13 @@ class Inverse:
         self._sensor = sensor_settings(effects, robot.joint_names)
         self._valve = valves_of(model)
         self._delays = np.unique(self._valve[:, DELAY])
+        lags = np.any(self._valve[:, [FILL, VENT]] > 0, axis=1)
+        # Of each dead time whose actuators they are, and whether any of their valves lags.
+        self._groups = [
+            (float(delay), own, bool(lags[own].any()))
+            for delay in self._delays
+            for own in [np.flatnonzero(self._valve[:, DELAY] == delay)]
+        ]
         self._dt, self._start_time = control_dt, start_time
         self._ranges = robot.command_ranges
         self.low, self.high = useful_commands(effects, robot.actuator_names, *robot.command_limits)
@@ -133,7 +140,7 @@ class Inverse:
             after the last of them.
         """
         feed, states = self._feed(reference, times, state)
-        measured, held = self._shown(reference, times if stamps is None else stamps, state)
+        measured, held = self.shown(reference, times if stamps is None else stamps, state)
         return measured, self.commands(feed), replace(state, states=states, held=held)
 
     def target(self, reference: Reference, time: float, state: InverseState) -> tuple[Target, InverseState]:
@@ -169,6 +176,8 @@ class Inverse:
             now: whether they reach from ``SMOOTHING`` before now on.
         """
         spread = float(self._delays[-1]) - (0.0 if now else float(self._delays[0]))
+        if self._law.all_possible:
+            return (1.0,) * window(self._dt, spread)
         latest = time + float(self._delays[-1]) + SMOOTHING + self._dt / 2
         new = range(0 if before else math.ceil(spread / self._dt - 1e-9), -1, -1)
         instants = np.array([latest - k * self._dt for k in new])
@@ -189,8 +198,7 @@ class Inverse:
         if share >= 1:
             return target
         rest, held = self.resting(target.position, state.states[0]), np.empty_like(target.feed)
-        for k, delay in enumerate(self._delays):
-            own = np.flatnonzero(self._valve[:, DELAY] == delay)
+        for k, (delay, own, _) in enumerate(self._groups):
             pose = self._poses(reference, np.array([time + delay + self._dt / 2]), state)[0]
             held[own] = self.resting(pose, state.states[k])[own]
         pressure, feed = rest + share * (target.pressure - rest), held + share * (target.feed - held)
@@ -204,13 +212,12 @@ class Inverse:
     def _feed(self, reference: Reference, times: Array, state: InverseState) -> tuple[Array, Array]:
         """(n, na) what is to reach the valves [Pa], and the effects' states afterwards."""
         pressure, states = np.empty((len(times), len(self.actuators))), np.empty_like(state.states)
-        for k, delay in enumerate(self._delays):
-            own = np.flatnonzero(self._valve[:, DELAY] == delay)
+        for k, (delay, own, lags) in enumerate(self._groups):
             arrival = times + delay + self._dt / 2
             q, v, a = self.motion(reference, arrival, state)
             z, states[k] = self.states(q, v, state.states[k])
             pressure[:, own] = self.pressures(q, v, a, z)[:, own]
-            if np.any(self._valve[own][:, [FILL, VENT]] > 0):
+            if lags:
                 around = [self.motion(reference, arrival + side * self._dt, state) for side in (-1, 1)]
                 before, after = (self.pressures(*motion, z)[:, own] for motion in around)
                 rate = np.zeros_like(pressure)
@@ -226,12 +233,15 @@ class Inverse:
         command = command_for(self._effects, self.actuators, pressure, self.low, self.high)
         return np.clip(command, self.low, self.high)
 
-    def _poses(self, reference: Reference, times: Array, state: InverseState) -> Array:
+    def _poses(self, reference: Reference, times: Array, state: InverseState, start_time: float | None = None) -> Array:
         """(n, nj) where the robot is to be: the first pose fades into the reference, both at rest before [rad]."""
+        lasts = self._start_time if start_time is None else start_time
         found = np.empty((len(times), len(state.pose)))
         for k, time in enumerate(np.maximum(times, state.begun).tolist()):
-            weight = blend(time - state.begun, self._start_time)
-            found[k] = (1 - weight) * reference.position(time) + weight * state.pose
+            found[k] = reference.position(time)
+            if time - state.begun < lasts:
+                weight = blend(time - state.begun, lasts)
+                found[k] = (1 - weight) * found[k] + weight * state.pose
         return found
 
     def motion(self, reference: Reference, times: Array, state: InverseState) -> tuple[Array, Array, Array]:
@@ -259,12 +269,24 @@ class Inverse:
         """(n, na) under which the robot moves so (nj, n), the effects' states being (nz, n) [Pa]."""
         return self._law.commands(q, v, a, z)
 
-    def _shown(self, reference: Reference, times: Array, state: InverseState) -> tuple[Array, Array]:
-        """(n, nj) what the sensors show, and (nj,) where those with play are held in the end."""
+    def shown(
+        self, reference: Reference, times: Array, state: InverseState, start_time: float | None = None
+    ) -> tuple[Array, Array]:
+        """What the sensors show of a robot that follows.
+
+        Args:
+            reference: of the true angles.
+            times: (n,) when what is known was measured [s].
+            state: how far it has been followed.
+            start_time: in place of the inverse's own [s].
+
+        Returns:
+            Angles (n, nj) [rad], and (nj,) where sensors with play are held in the end [rad].
+        """
         angles, held = np.empty((len(times), len(state.pose))), state.held.copy()
         for sensor_delay in np.unique(self._sensor[:, SENSOR_DELAY]):
             own = np.flatnonzero(self._sensor[:, SENSOR_DELAY] == sensor_delay)
-            angles[:, own] = self._poses(reference, times - sensor_delay, state)[:, own]
+            angles[:, own] = self._poses(reference, times - sensor_delay, state, start_time)[:, own]
         for j in np.flatnonzero(self._sensor[:, PLAY] > 0):
             for k in range(len(times)):
                 angles[k, j] = held[j] = follow(held[j], angles[k, j], self._sensor[j, PLAY])

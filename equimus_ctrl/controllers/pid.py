@@ -102,6 +102,11 @@ class PidController:
         return PidState(memory, offset, observation.time, spec, constants, gains, law, low, high, inverse, following)
 
     def _begin_exactly(self, spec: PlantSpec, observation: Observation) -> ExactPidState:
+        if self.settings is not None and self.settings.lateness:
+            raise ConfigError(
+                f"lateness is {self.settings.lateness:g} s, which is of a PID that is not decoupled on a robot with "
+                f"elastic actuators, not of one on {spec.model.name}; expected 0"
+            )
         try:
             dynamics = Dynamics(Model(spec.model, spec.effects, spec.phase))
         except NotAvailable as error:
@@ -130,22 +135,25 @@ class PidController:
         now, measured = observation.time, max(observation.stamp, state.begun)
         if state.inverse is not None and following is not None:
             instants = np.array([now]), np.array([measured])
+            before = following
             shown, planned, following = state.inverse.follow(reference, instants[0], following, instants[1])
             r, fed = shown[0], planned[0]
+            expected = state.inverse.shown(reference, instants[1], before, s.late_start)[0][0] if s.lateness else r
         else:
             if np.isnan(offset).any():
                 offset = observation.position - reference.position(measured)
 
-            def pose(time: float) -> Array:
-                weight = state.law.blend(time - state.begun, s.start_time)
+            def pose(time: float, start_time: float = s.start_time) -> Array:
+                weight = state.law.blend(time - state.begun, start_time)
                 return np.asarray(reference.position(time) + weight * offset)
 
-            r = pose(measured)
+            r, expected = pose(measured), pose(measured, s.late_start)
             state.law.static_feed(r if measured == now else pose(now), s.feedforward, state.constants, fed)
         memory = state.memory.copy()
         command = np.empty(len(spec.actuators))
         state.law.pid_command(
             r,
+            expected,
             np.array(observation.position),
             fed,
             state.gains,

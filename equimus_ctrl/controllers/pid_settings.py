@@ -56,6 +56,8 @@ class PidSettings:
             and sensors (``controllers.inverse``); else they hold the reference pose at rest.
         decoupled: whether efforts of joints are accelerations, which the mass matrix turns into torques, so that no
             joint disturbs another; for the PID by exact equations (``controllers.exact_pid``).
+        lateness: by how much later than is known commands are thought to act [s]: so much later the first pose fades
+            out of what the integral compares with. Of a PID on elastic actuators.
     """
 
     gains: Mapping[str, PidGains]
@@ -68,12 +70,20 @@ class PidSettings:
     feedforward: bool = True
     inverse: bool = False
     decoupled: bool = False
+    lateness: float = 0.0
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "gains", dict(self.gains))
         if self.space not in get_args(Space):
             raise ConfigError(unknown_name("PID space", str(self.space), get_args(Space)))
-        for key in ("derivative_time", "tracking_time", "proportional_weight", "derivative_weight", "start_time"):
+        for key in (
+            "derivative_time",
+            "tracking_time",
+            "proportional_weight",
+            "derivative_weight",
+            "start_time",
+            "lateness",
+        ):
             value = getattr(self, key)
             if not (math.isfinite(value) and value >= 0):
                 raise ConfigError(f"{key} is {value:g}, expected a finite number of at least 0")
@@ -81,6 +91,11 @@ class PidSettings:
             raise ConfigError('decoupled is true, which is of joints, but space is not "joint"')
         if self.inverse and not self.feedforward:
             raise ConfigError("inverse is true, which is a way to feed forward, but feedforward is false")
+
+    @property
+    def late_start(self) -> float:
+        """Over which the first pose fades out of what the integral compares with [s]: on average so much later."""
+        return self.start_time + 2 * self.lateness
 
     def channels(self, spec_or_robot: PlantSpec | Robot) -> tuple[str, ...]:
         """Names of the channels on a robot: its actuators or its joints."""

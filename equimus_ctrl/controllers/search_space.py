@@ -89,6 +89,8 @@ class SearchSpace:
         made: what the settings file holds of ``first`` and the values that are searched; by default each value stands
             under its name.
         growth: of the controller's linearised sampled loops; None where there are none to look at.
+        speed: name → power with which it grows with how fast the loops are, of all that do; empty where that is not
+            known. A search begins with loops that are slow enough for its limits.
     """
 
     ranges: Mapping[str, Range]
@@ -97,6 +99,15 @@ class SearchSpace:
         default=lambda first, values: _with(first, values)
     )
     growth: Growth | None = None
+    speed: Mapping[str, float] = field(default_factory=dict)
+
+    def begun_at(self, speed: float) -> SearchSpace:
+        """The same space, begun where the loops are so many times as fast as they are where it begins."""
+        ranges = {
+            name: replace(own, start=min(max(own.start * speed ** self.speed.get(name, 0.0), own.low), own.high))
+            for name, own in self.ranges.items()
+        }
+        return replace(self, ranges=ranges)
 
     def settings(self, values: Mapping[str, float]) -> dict[str, Any]:
         """What the settings file holds of values by name, which are taken to six digits: what is tried is written."""
@@ -128,7 +139,10 @@ class SearchSpace:
                 raise ConfigError(f"search.{name}: {error}") from None
         if not ranges:
             raise ConfigError(f"settings leave nothing to search of {', '.join(self.ranges)}")
-        return replace(self, ranges=ranges, first=_with(self.first, fixed))
+        # Who says where the search begins, or what is not searched, has said how fast the loops are.
+        told = {name for name, own in search.items() if own.start is not None}
+        said = bool(told & set(self.speed)) or not set(self.speed) <= set(ranges)
+        return replace(self, ranges=ranges, first=_with(self.first, fixed), speed={} if said else self.speed)
 
 
 Search = Mapping[str, Range] | Callable[[PlantSpec, Array], SearchSpace]

@@ -29,11 +29,13 @@ from equimus_ctrl.types import Array, PlantSpec
 
 PLACED = {name: Range(0.1, 10.0, 1.0) for name in ("kp", "ki", "kd", "derivative_time")}
 """Factors on the gains that the mass matrix places, the same for every joint."""
+SPEED = {"kp": 2.0, "ki": 3.0, "kd": 1.0}
+"""Powers of the bandwidth in placed gains (``controllers.placement``)."""
 ALLOWED = {
-    "rate": (0.1, 10.0),
     "pressure": (0.05, 10.0),
     "observer.torque": (0.05, 20.0),
     "observer.disturbance": (0.05, 10.0),
+    "observer.pressure": (0.05, 10.0),
 }
 """Of regulators whose settings say all: factors on these (least, most)."""
 BANDWIDTH = 0.25, 3.0
@@ -63,7 +65,7 @@ def placed_space(spec: PlantSpec, pose: Array) -> SearchSpace:
         loops = [Loop(q, own.linear(q), driven, dynamics, valve, spec.control_dt, late) for q in poses]
         return [max(loop.growth(tried, factor)[0] for loop in loops) for factor in factors]
 
-    return SearchSpace(PLACED, placed.to_dict(), _multiplied, growth)
+    return SearchSpace(PLACED, placed.to_dict(), _multiplied, growth, SPEED)
 
 
 def _multiplied(first: Table, values: Mapping[str, float]) -> dict[str, Any]:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import itertools
 import math
+from bisect import bisect_right
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import Literal
@@ -175,6 +176,8 @@ class Observer:
         p = self.prediction
         self.model, self._names = model, model.robot.actuator_names
         self.delays: Array = p.valve[:, DELAY].copy()
+        self._each: list[float] = self.delays.tolist()
+        self._late = sorted(set(self._each))
         self._sensor_delay: Array = p.sensor[:, SENSOR_DELAY].copy()
         longest = control_dt / steps_in(model, control_dt)
         self._substep = min(longest, STABLE / max(*followed_rates(model), STABLE / control_dt))
@@ -247,13 +250,15 @@ class Observer:
         ready = stamp - float(self._sensor_delay.max()) + EARLY
         mean, covariance, time, bank = state.mean, state.covariance, state.time, state.bank
         for at, joint, angle in (w for w in waiting if w[0] <= ready):
-            by = None if bank is None else Carried.nothing(len(mean), len(self.delays))
-            mean, covariance = self._ahead(mean, covariance, time, at, state.sent, by)
+            if at > time + EARLY:  # joints that are measured together need this once
+                by = None if bank is None else Carried.nothing(len(mean), len(self.delays))
+                mean, covariance = self._ahead(mean, covariance, time, at, state.sent, by)
+                if self.bank is not None and bank is not None and by is not None:
+                    bank = self.bank.carried(bank, by, time, at, state.sent)
+                time = at
             row, gain, off, variance = self._measured(mean, covariance, joint, angle)
-            if self.bank is not None and bank is not None and by is not None:
-                bank = self.bank.carried(bank, by, time, at, state.sent)
+            if self.bank is not None and bank is not None:
                 bank = self.bank.corrected(bank, row, gain, off, variance)
-            time = max(time, at)
             mean, covariance = self._corrected(mean, covariance, row, gain, off)
         if self.bank is not None and bank is not None:
             bank = self.bank.chosen(bank)
@@ -293,7 +298,7 @@ class Observer:
     def foresee(self, state: ObserverState, time: float) -> Estimate:
         """As ``estimate``, several times as fast: the covariance is that of where the filter stands."""
         x, u, d, h = self._step.arguments
-        x[:], d[:] = np.split(state.mean, [self.prediction.nx])
+        x[:], d[:] = state.mean[: self.prediction.nx], state.mean[self.prediction.nx :]
         for part, span, steps in self._parts(state.time, time, state.sent):
             u[:], h[:] = part, span
             for _ in range(steps):
@@ -326,13 +331,19 @@ class Observer:
 
     def _parts(self, start: float, until: float, sent: Sent) -> Iterator[tuple[list[float], float, int]]:
         """(what reaches the valves, step, how many steps) from start to until, each time a command arrives anew."""
-        arrivals = (sent.times[:, None] + self.delays[None, :]).ravel()
-        inside = np.sort(arrivals[(arrivals > start + EARLY) & (arrivals < until - EARLY)])
-        edges = [start, *inside[np.diff(inside, prepend=start) > EARLY].tolist(), until]
+        low, high, edges = start + EARLY, until - EARLY, [start]
+        instants = sent.instants
+        late = self._late
+        # The first command has been in force since ever, and what arrived before is over.
+        recent = instants[max(bisect_right(instants, start - late[-1] - EARLY) - 1, 0) :]
+        for at in sorted(time + delay for time in recent for delay in late):
+            if low < at < high and at > edges[-1] + EARLY:
+                edges.append(at)
+        edges.append(until)
         for begin, end in itertools.pairwise(edges):
             if end > begin + EARLY:
                 steps = max(math.ceil((end - begin) / self._substep - 1e-6), 1)
-                yield [sent.at(begin - delay, i) for i, delay in enumerate(self.delays)], (end - begin) / steps, steps
+                yield [sent.at(begin - delay, i) for i, delay in enumerate(self._each)], (end - begin) / steps, steps
 
     def _ahead(
         self, mean: Array, covariance: Array, start: float, until: float, sent: Sent, carried: Carried | None = None

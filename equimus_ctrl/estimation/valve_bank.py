@@ -16,15 +16,18 @@ Control 10, 1965). One filter is run; the others take a product of matrices.
 
 from __future__ import annotations
 
-import itertools
 import math
+from bisect import bisect_right
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
 from equimus_ctrl.effects.command import DELAY, FILL, VENT
 from equimus_ctrl.effects.valves import ValveEffect, valve_effects, valve_settings
+from equimus_ctrl.estimation import bank_kernel
+from equimus_ctrl.estimation.bank_kernel import SMALL
 from equimus_ctrl.models.linear import valve_lag
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.models.solved import valves_of
@@ -37,8 +40,6 @@ CHANCE = 1e-3
 EXPLAINED = 0.5
 """Share of what the known valves leave of Σ ν²/s beyond its expectation that others have to explain: most of it, or
 something else is missing, a push say, of which later valves explain a little by chance."""
-SMALL = 1e-9
-"""Time constants and times that are none [s]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,16 +54,15 @@ class Sent:
     times: Array
     values: Array
 
+    @cached_property
+    def instants(self) -> list[float]:
+        """``times`` as Python's numbers, of which single ones are read faster."""
+        return self.times.tolist()  # type: ignore[no-any-return]
+
     def at(self, time: float, actuator: int) -> float:
         """In force at a time, the first before all [Pa]."""
-        k = int(np.searchsorted(self.times, time + SMALL, side="right")) - 1
+        k = bisect_right(self.instants, time + SMALL) - 1
         return float(self.values[max(k, 0), actuator])
-
-    def between(self, start: float, until: float, actuator: int) -> list[tuple[float, float]]:
-        """(command [Pa], how long it was in force [s]) from start to until."""
-        inside = self.times[(self.times > start + SMALL) & (self.times < until - SMALL)]
-        edges = itertools.pairwise([start, *inside.tolist(), until])
-        return [(self.at(begin, actuator), end - begin) for begin, end in edges]
 
 
 @dataclass(eq=False)
@@ -133,12 +133,7 @@ class ValveBank:
         self._count = len(each)
         self._alternatives = float(self._count) ** len(valve)
         self._model = model
-        # Of one actuator, hypotheses of one dead time and all lags: they see the same commands.
-        self._alike: list[tuple[int, NDArray[np.intp], float, Array]] = []
-        for i, whole in enumerate(known[:, None] + self.late):
-            for late in np.unique(whole[:, 0]):
-                own = np.flatnonzero(whole[:, 0] == late)
-                self._alike.append((i, own, float(late), np.maximum(whole[own, 1], SMALL)))
+        self._whole: Array = known[:, None] + self.late
 
     def begin(self, m: int, pressure: Array) -> BankState:
         """A robot that has long been at rest.
@@ -164,14 +159,8 @@ class ValveBank:
         if until <= start + SMALL:
             return state
         na, k = state.pressure.shape
-        mean, pressure = np.empty((na, k)), state.pressure.copy()
-        for i, own, late, tau in self._alike:
-            p, area = pressure[i, own], np.zeros(len(tau))
-            for command, span in sent.between(start - late, until - late, i):
-                decay = np.exp(-span / tau)
-                area += command * span + (p - command) * tau * (1 - decay)
-                p = command + (p - command) * decay
-            pressure[i, own], mean[i, own] = p, area / (until - start)
+        mean, pressure = np.empty((na, k)), np.empty((na, k))
+        bank_kernel.passed(sent.times, sent.values, start, until, self._whole, state.pressure, pressure, mean)
         other = mean - mean[:, :1]
         deviation = by.state @ state.deviation + (by.pressure[:, :, None] * other).reshape(len(by.state), na * k)
         return replace(state, deviation=deviation, pressure=pressure)
@@ -186,15 +175,12 @@ class ValveBank:
             off: ν.
             variance: s.
         """
-        seen = row @ state.deviation
+        deviation, fits, alike = state.deviation.copy(), state.fits.copy(), state.alike.copy()
+        bank_kernel.seen(row, gain, off, variance, deviation, fits, alike)
         return replace(
-            state,
-            deviation=state.deviation - np.outer(gain, seen),
-            fits=state.fits + off / variance * seen,
-            alike=state.alike + np.outer(seen, seen) / variance,
-            total=state.total + off**2 / variance,
+            state, deviation=deviation, fits=fits, alike=alike, total=state.total + off**2 / variance,
             count=state.count + 1,
-        )
+        )  # fmt: skip
 
     def chosen(self, state: BankState) -> BankState:
         """With the likeliest hypothesis in force, where the one that was is too unlikely for chance.
@@ -202,8 +188,15 @@ class ValveBank:
         Where none explains what is measured, the model lacks something else; what that makes of ν is then the noise.
         The known valves stay in force until later ones explain most of what they leave.
         """
-        best = min((self._improved(state, begin) for begin in self._begins(state)), key=lambda own: own[1])
-        cost = self._cost(state, state.choice)
+        k, na = self._count, len(state.choice)
+        sums = state.fits, state.alike
+        # The likeliest is looked for from that in force, and from the likeliest of those alike for all actuators.
+        begins = state.choice, (bank_kernel.alike_for_all(*sums, na, k),) * na
+        found = [np.array(begin) for begin in begins]
+        costs = [bank_kernel.improved(state.total, *sums, begin, k) for begin in found]
+        first = int(np.argmin(costs))
+        best = tuple(found[first].tolist()), costs[first]
+        cost = state.total + bank_kernel.unlikely(*sums, np.array(state.choice), k)
         least = 2 * math.log(self._alternatives / CHANCE) * max(best[1] / max(state.count, 1), 1.0)
         if not any(state.choice):
             least = max(least, EXPLAINED * (cost - state.count))
@@ -232,31 +225,3 @@ class ValveBank:
 
     def _columns(self, choice: tuple[int, ...]) -> NDArray[np.intp]:
         return np.array([i * self._count + own for i, own in enumerate(choice)], dtype=np.intp)
-
-    def _cost(self, state: BankState, choice: tuple[int, ...]) -> float:
-        """Σ ν_h²/s."""
-        own = self._columns(choice)
-        return float(state.total - 2 * state.fits[own].sum() + state.alike[np.ix_(own, own)].sum())
-
-    def _begins(self, state: BankState) -> list[tuple[int, ...]]:
-        """Where the likeliest is looked for from: that in force, and the likeliest of those alike for all actuators."""
-        na, k = len(state.choice), self._count
-        both = np.einsum("iaja->a", state.alike.reshape(na, k, na, k))
-        alike = both - 2 * state.fits.reshape(na, k).sum(axis=0)
-        return [state.choice, (int(np.argmin(alike)),) * na]
-
-    def _improved(self, state: BankState, choice: tuple[int, ...]) -> tuple[tuple[int, ...], float]:
-        """The likeliest, found by changing one actuator's hypothesis at a time, and its Σ ν_h²/s."""
-        found, cost = list(choice), self._cost(state, choice)
-        k = self._count
-        while True:
-            before = cost
-            for i in range(len(found)):
-                others = np.delete(self._columns(tuple(found)), i)
-                own = slice(i * k, (i + 1) * k)
-                # What depends on this actuator's hypothesis alone.
-                costs = -2 * state.fits[own] + np.diag(state.alike)[own] + 2 * state.alike[own, others].sum(axis=1)
-                found[i] = int(np.argmin(costs))
-            cost = self._cost(state, tuple(found))
-            if cost >= before - 1e-9 * abs(before):
-                return tuple(found), cost

@@ -22,7 +22,13 @@ from equimus_ctrl.types import Array, frozen_array
 
 
 class Solved(Protocol):
-    """The commands, as they arrive at the actuators, under which a robot moves."""
+    """The commands, as they arrive at the actuators, under which a robot moves.
+
+    Attributes:
+        all_possible: whether all of any motion is to be fed forward.
+    """
+
+    all_possible: bool
 
     def rest(self, q: Array) -> Array:
         """(nz,) the effects' states after a long rest at q (nj,) [rad or m]."""
@@ -47,6 +53,8 @@ class Solved(Protocol):
 
 class _Pressures:
     """Of actuators whose pressures act along lengths, see ``models.inverse``."""
+
+    all_possible = True  # springs take the robot back by themselves, and commands beyond their ends are cut off
 
     def __init__(self, model: Model) -> None:
         robot = changed_bodies(model.effects, model.robot)
@@ -81,11 +89,13 @@ class _Pressures:
         return np.array(self._law.advanced(q, v, z, self._parameters, dt)).ravel()
 
     def possible(self, q: Array, v: Array, a: Array) -> float:
-        return 1.0  # springs take the robot back by themselves, and commands beyond their ends are cut off
+        return 1.0
 
 
 class _Exact:
     """Of any actuators, see ``models.dynamics``; the effects' states count as after a long rest."""
+
+    all_possible = False
 
     def __init__(self, model: Model) -> None:
         self._dynamics = Dynamics(model)

@@ -148,6 +148,7 @@ class MujocoPlant:
         self.mujoco_model, self.data = body.mujoco_model, body.data
         self._qpos, self._dof, self._control = body.qpos, body.dof, body.control
         self._valve, self._sensor = body.valve, body.sensor
+        self._remembers = bool(np.any(self._sensor[:, [SENSOR_DELAY, PLAY]] > 0))
         spec = make_spec(model.robot, 1 / self.rates.control, nominal or model, model.phase)
         senses: tuple[Sense, ...] = ("velocities",) if body.exerted() is None else ("velocities", "torques")
         self._spec = replace(spec, senses=frozenset(senses))
@@ -324,7 +325,7 @@ class MujocoPlant:
         slow = self._is_slow()
         sound = self._body.advance(pushes)
         self._step_count += 1
-        if self._sensor_remembers():
+        if self._remembers:
             self._remember()
             for j, row in enumerate(self._sensor):
                 self._held[j] = follow(self._held[j], self._seen(j), row[PLAY])
@@ -337,16 +338,13 @@ class MujocoPlant:
             raise SimulationDiverged(self._diverged)
 
     def _is_slow(self) -> bool:
-        return bool(np.all(np.abs(self.data.qvel[self._dof]) < MAX_SPEED))
+        return all(abs(speed) < MAX_SPEED for speed in self.data.qvel[self._dof].tolist())
 
     def _shaped(self, command: Array) -> Array:
         robot = self.model.robot
         return np.array(
             shaped_commands(self.model.effects, robot.actuator_names, command[None, :], robot.command_ranges)[0]
         )
-
-    def _sensor_remembers(self) -> bool:
-        return bool(np.any(self._sensor[:, SENSOR_DELAY] > 0) or np.any(self._sensor[:, PLAY] > 0))
 
     def _remember(self) -> None:
         newest = self._step_count % self._past.shape[1]

@@ -23,6 +23,7 @@ STAGES = {
     "start": ("start", style.INK),
     "spread": ("spread", style.JOINT_COLOURS[2]),
     "cma-es": ("CMA-ES", style.JOINT_COLOURS[0]),
+    "surrogate": ("surrogate", style.JOINT_COLOURS[0]),
     "nelder-mead": ("Nelder–Mead", style.JOINT_COLOURS[1]),
 }
 BEFORE, AFTER = style.FAINT, style.JOINT_COLOURS[0]
@@ -61,7 +62,12 @@ def convergence_figure(result: TuningResult) -> Figure:
             size = 70 if stage == "start" else 16
             axes.scatter([t.index for t in own], shown, s=size, color=colour, alpha=0.75, linewidths=0, zorder=3)
             handles.append(Line2D([], [], marker="o", linestyle="", color=colour, label=f"{label} ({len(own)})"))
-    refused = [t.index for t in trials if not t.evaluation.feasible]
+    beaten = [(t.index, min(t.evaluation.cost, high)) for t in trials if t.evaluation.beaten]
+    if beaten:
+        axes.scatter(*zip(*beaten, strict=True), s=16, facecolors="none", edgecolors=style.FAINT, zorder=2)
+        label = f"not tried to the end ({len(beaten)})"
+        handles.append(Line2D([], [], marker="o", linestyle="", mfc="none", color=style.FAINT, label=label))
+    refused = [t.index for t in trials if not t.evaluation.within]
     axes.plot(refused, np.full(len(refused), top), "|", color=style.ALERT, markersize=7, alpha=0.7, zorder=2)
     if refused:
         handles.append(

@@ -26,7 +26,7 @@ from equimus_ctrl.plants.mujoco_plant import MujocoPlant, PlantRates
 from equimus_ctrl.scenarios.references import SampledReference
 from equimus_ctrl.scenarios.scenario import Scenario
 from equimus_ctrl.simulate import run
-from equimus_ctrl.tuning.ensemble import Member, make_ensemble
+from equimus_ctrl.tuning.ensemble import Member, make_ensemble, mean_lateness
 from equimus_ctrl.tuning.objective import Evaluation, Problem, make_task
 from equimus_ctrl.tuning.result import CrossCheck, TuningResult, versions
 from equimus_ctrl.tuning.search import Journal, Search, Trial
@@ -55,7 +55,8 @@ def make_problem(study: Study, model: Model, scenarios: Sequence[Scenario]) -> P
         make_task(scenario, objective.weight, objective.duration, model, study.ensemble.noise, study.seed + k)
         for k, (scenario, objective) in enumerate(zip(scenarios, study.objectives, strict=True))
     ]
-    return Problem(model, members, tasks, study.weights, study.limits, inverse=study.inverse)
+    late = mean_lateness(model, study.ensemble, study.inverse)
+    return Problem(model, members, tasks, study.weights, study.limits, inverse=study.inverse, lateness=late)
 
 
 def unseen_problem(problem: Problem, study: Study) -> Problem:
@@ -113,17 +114,21 @@ def autotune(
     ranges = [r for _, r in study.ranges(channels)]
     search = Search.of(ranges, study, journal, notify)
     search.over = time_is_up(budget)
+
+    def made(values: Sequence[float] | Array) -> PidSettings:
+        return replace(study.settings(np.array(values), channels), lateness=problem.lateness)
+
     # Linear algebra keeps to one thread each: the cores are busy with candidates, and the bits stay the same on any
     # number of them.
     threads = worker_count(workers)
     with threadpool_limits(1), ThreadPoolExecutor(threads) as pool:
-        search.evaluate = lambda batch: problem.evaluate([study.settings(v, channels) for v in batch], pool, threads)
+        search.evaluate = lambda batch: problem.evaluate([made(v) for v in batch], pool, threads)
         problem.warm_up()
         interrupted = search.interrupted()
-        best = best_feasible(search.history, lambda t: problem.verified(study.settings(np.array(t.values), channels)))
-        settings = study.settings(np.array(best.values), channels)
+        best = best_feasible(search.history, lambda t: problem.verified(made(t.values)))
+        settings = made(best.values)
         start = search.history[0]
-        start_settings = study.settings(np.array(start.values), channels)
+        start_settings = made(start.values)
         on_unseen: list[Evaluation] = []
         start_unseen: list[Evaluation] = []
         checks: list[CrossCheck] = []
@@ -191,13 +196,14 @@ def best_feasible(
     if not history:
         raise NothingFeasible(f"the search was stopped before any {noun} were tried")
     nearest = min(history, key=lambda trial: trial.evaluation.cost).evaluation
+    ran = ""
+    if not math.isnan(nearest.overshoot):
+        ran = f"overshoots by {nearest.overshoot:.0%}, is saturated {nearest.saturation:.0%} of the time, "
     why = (
         f"is unstable on some {member}"
         if not nearest.stable
-        else (
-            f"overshoots by {nearest.overshoot:.0%}, is saturated {nearest.saturation:.0%} of the time, its slowest "
-            f"mode has modulus {nearest.modulus:.4f}, and {nearest.raised_modulus:.4f} with the gain margin"
-        )
+        else f"{ran}its slowest mode has modulus {nearest.modulus:.4f}, and {nearest.raised_modulus:.4f} with the gain "
+        "margin"
     )
     raise NothingFeasible(
         f"none of {len(history)} {noun} is stable and within the limits on every {member}; the nearest {why}"

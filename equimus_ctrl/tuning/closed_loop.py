@@ -59,6 +59,7 @@ class Plan:
 
     Attributes:
         shown: (n, nj) its reference [rad].
+        expected: (n, nj) what its integral compares with [rad].
         command: (n, na) what it feeds forward [Pa].
         surplus: (na,) see ``pid_kernel.pid_start`` [Pa].
         low: (na,) lowest command of any use [Pa].
@@ -66,13 +67,16 @@ class Plan:
     """
 
     shown: Array
+    expected: Array
     command: Array
     surplus: Array
     low: Array
     high: Array
 
 
-def make_plan(model: Model, course: Course, robot: Member, position: Array, start_time: float) -> Plan:
+def make_plan(
+    model: Model, course: Course, robot: Member, position: Array, start_time: float, late_start: float
+) -> Plan:
     """The plan for a robot that begins somewhere.
 
     Args:
@@ -81,13 +85,16 @@ def make_plan(model: Model, course: Course, robot: Member, position: Array, star
         robot: what is driven.
         position: (nj,) its pose at the start [rad].
         start_time: see ``PidSettings`` [s].
+        late_start: likewise [s].
     """
     inverse = Inverse(model, course.control_dt, start_time)
     sensor = sensor_settings(robot.effects, model.morphology.joint_names)
     begun = inverse.start(0.0, shown(sensor, position) + course.noise[0])
     times = np.asarray(np.arange(len(course.reference)) * course.control_dt, dtype=np.float64)
-    seen, command, _ = inverse.follow(SampledReference(times, course.reference), times, begun)
-    return Plan(seen, command, inverse.surplus(begun, course.command_before), inverse.low, inverse.high)
+    reference = SampledReference(times, course.reference)
+    seen, command, _ = inverse.follow(reference, times, begun)
+    expected = seen if late_start == start_time else inverse.shown(reference, times, begun, late_start)[0]
+    return Plan(seen, expected, command, inverse.surplus(begun, course.command_before), inverse.low, inverse.high)
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,7 +116,7 @@ class Loop:
     def kind(self) -> tuple[object, ...]:
         """What loops that run side by side have in common."""
         s = self.settings
-        return s.space, s.feedforward, s.start_time, self.plan is not None, self.robot.effects
+        return s.space, s.feedforward, s.start_time, s.late_start, self.plan is not None, self.robot.effects
 
 
 @dataclass(frozen=True, eq=False)
@@ -212,9 +219,11 @@ def _track_block(nominal: Morphology, phase: Phase, course: Course, loops: Seque
         settings.space == "length",
         settings.feedforward,
         float(settings.start_time),
+        float(settings.late_start),
         np.arange(n) * course.control_dt,
         course.reference,
         np.array([plan.shown for plan in plans]).reshape(k, -1, nj),
+        np.array([plan.expected for plan in plans]).reshape(k, -1, nj),
         np.array([plan.command for plan in plans]).reshape(k, -1, na),
         np.array([plan.surplus for plan in plans]).reshape(-1, na),
         course.noise,

@@ -9,7 +9,7 @@ import numpy as np
 
 from equimus_ctrl.effects.base import Effect, require_simulated
 from equimus_ctrl.effects.bodies import BodyEffect, changed_bodies
-from equimus_ctrl.effects.command import POWER
+from equimus_ctrl.effects.command import DELAY, FILL, POWER, VENT
 from equimus_ctrl.effects.valves import FirstOrderLag, TransportDelay, ValveEffect, valve_settings
 from equimus_ctrl.engines.rest import rest_pose
 from equimus_ctrl.models.model import Model
@@ -83,6 +83,20 @@ def make_ensemble(model: Model, settings: EnsembleSettings, count: int, seed: in
         changed = perturbed(m, spreads, row[: len(spreads)])
         members.append(Member(labels[k] if k < len(labels) else f"leg {k}", changed, pack(changed), valve, others))
     return members
+
+
+def mean_lateness(model: Model, settings: EnsembleSettings, led: bool) -> float:
+    """By how much later the commands of ``make_ensemble``'s legs act than a controller leads them, on average [s].
+
+    Args:
+        model: at the centre.
+        settings: of the ensemble.
+        led: whether the controller leads what the model knows of its valves.
+    """
+    if not any(isinstance(effect, ValveEffect) for effect in model.effects):
+        return sum(settings.delay) / 2 + sum(settings.lag) / 2
+    own = valve_settings(model.effects, model.morphology.actuator_names)
+    return 0.0 if led else float((own[:, DELAY] + (own[:, FILL] + own[:, VENT]) / 2).mean())
 
 
 def make_members(model: Model, settings: EnsembleSettings, count: int, seed: int, fixed: bool = True) -> list[Model]:

@@ -23,7 +23,7 @@ from equimus_ctrl.scenarios.scenario import Scenario
 from equimus_ctrl.tuning import closed_loop
 from equimus_ctrl.tuning.closed_loop import Loop, Plan, Tracked, make_plan, track
 from equimus_ctrl.tuning.ensemble import Member
-from equimus_ctrl.tuning.stability import SampledLeg, largest_modulus, linear_legs, sample
+from equimus_ctrl.tuning.stability import SampledLeg, largest_modulus, linear_legs, load_response, sample
 from equimus_ctrl.tuning.study import Limits, Weights
 from equimus_ctrl.types import Array
 
@@ -31,6 +31,8 @@ BAND = 0.03
 """A joint has settled when it stays this close to its reference [rad]."""
 CONTROL_RATE = 120.0
 """Of the loop that is tuned [Hz]."""
+LOAD = 0.1
+"""Of the command range: the load that a leg is looked at with, a size that commands have to spare in most poses."""
 TERMS = ("error", "overshoot", "settling", "offset", "effort", "chatter")
 
 
@@ -83,8 +85,9 @@ class Outcome:
     """One candidate on one leg in one scenario.
 
     Attributes:
-        terms: (6,) error, overshoot, settling, offset, effort, chatter.
-        saturation: share of the time at a pressure limit.
+        terms: (6,) error, overshoot, settling, offset, effort, chatter; NaN where it was not run, for its linearised
+            loops are beyond the limits.
+        saturation: share of the time at a pressure limit; NaN likewise.
         restless: how far the joints still swing in the last quarter of a step-like scenario [rad].
         diverged: whether the simulation left the range where its numbers mean anything.
     """
@@ -103,11 +106,13 @@ class LegOutcome:
         runs: one for each scenario.
         modulus: largest eigenvalue of its linearised sampled loops; NaN where a run already failed.
         raised_modulus: the same with all gains raised by the gain margin asked for.
+        give: how far it gives way to loads, see ``stability.load_response`` [rad √s]; 0 where that has no weight.
     """
 
     runs: Sequence[Outcome]
     modulus: float
     raised_modulus: float
+    give: float = 0.0
 
     @property
     def calm(self) -> bool:
@@ -129,6 +134,8 @@ class Evaluation:
         raised_modulus: the same with all gains raised by the gain margin asked for.
         stable: False where any leg diverged, would not come to rest, or has a loop that is not stable.
         feasible: stable and within the limits.
+        beaten: not tried to the end, for it was not to become the cheapest; its cost is then what it is at least where
+            it does as well on the remaining robots as is thought possible.
     """
 
     cost: float
@@ -140,11 +147,19 @@ class Evaluation:
     raised_modulus: float
     stable: bool
     feasible: bool
+    beaten: bool = False
+
+    @property
+    def within(self) -> bool:
+        """Whether its cost is no penalty."""
+        return self.feasible or self.beaten
 
     @property
     def told(self) -> str:
         """Its cost for people, who have no use for a penalty."""
-        return f"{self.cost:.4f}" if self.feasible else "beyond a limit" if self.stable else "unstable"
+        if self.within:
+            return f"{'at least ' if self.beaten else ''}{self.cost:.4f}"
+        return "beyond a limit" if self.stable else "unstable"
 
     def to_dict(self) -> dict[str, Any]:
         """Plain types, for a journal."""
@@ -158,6 +173,7 @@ class Evaluation:
             "raised_modulus": self.raised_modulus,
             "stable": self.stable,
             "feasible": self.feasible,
+            "beaten": self.beaten,
         }
 
     @classmethod
@@ -178,6 +194,7 @@ class Problem:
         limits: hard ones.
         steps: physics steps in each control period.
         inverse: whether the controller knows the inverse of the model.
+        lateness: of the controller, see ``PidSettings`` [s].
     """
 
     model: Model
@@ -187,9 +204,10 @@ class Problem:
     limits: Limits
     steps: int = 4
     inverse: bool = False
+    lateness: float = 0.0
     _starts: dict[tuple[int, int], Array] = field(default_factory=dict, repr=False)
     _legs: dict[tuple[str, int, int], list[SampledLeg]] = field(default_factory=dict, repr=False)
-    _plans: dict[tuple[int, int, float], Plan] = field(default_factory=dict, repr=False)
+    _plans: dict[tuple[int, int, float, float], Plan] = field(default_factory=dict, repr=False)
 
     def warm_up(self) -> None:
         """Compile, or load, the kernel and find every leg's rest pose."""
@@ -239,6 +257,13 @@ class Problem:
         gains[: KD + 1] *= self.limits.gain_margin
         return modulus, largest_modulus(self._legs[key], gains)
 
+    def give(self, settings: PidSettings, member: int) -> float:
+        """How far a leg gives way to loads of ``LOAD`` of the command range; the most over all poses [rad √s]."""
+        m = self.model.morphology
+        load = LOAD * (m.command_high - m.command_low) * np.ones(len(m.actuators))
+        gains = settings.gain_matrix(settings.channels(m))
+        return max(load_response(leg, gains, load) for leg in self._legs[settings.space, member, 1])
+
     def verified(self, settings: PidSettings) -> bool:
         """Whether the loops of every leg keep the gain margin at eight poses along each moving reference too.
 
@@ -268,17 +293,18 @@ class Problem:
                 settings,
                 self.members[i],
                 np.array(self._starts[i, task]),
-                self._plan(i, task, settings.start_time) if self.inverse else None,
+                self._plan(i, task, settings) if self.inverse else None,
             )
             for settings, i in runs
         ]
         return track(self.model.morphology, self.model.phase, self.tasks[task], loops, self.steps)
 
-    def _plan(self, member: int, task: int, start_time: float) -> Plan:
-        key = (member, task, start_time)
+    def _plan(self, member: int, task: int, settings: PidSettings) -> Plan:
+        starts = settings.start_time, settings.late_start
+        key = (member, task, *starts)
         if key not in self._plans:
             begin = self._starts[member, task]
-            self._plans[key] = make_plan(self.model, self.tasks[task], self.members[member], begin, start_time)
+            self._plans[key] = make_plan(self.model, self.tasks[task], self.members[member], begin, *starts)
         return self._plans[key]
 
     def simulate(self, settings: PidSettings, member: int, task: int) -> tuple[Array, Array, int]:
@@ -331,7 +357,7 @@ class Problem:
             # A joint that is to stay about where it is overshoots in either direction.
             beyond = np.where(np.abs(step) > BAND, error * np.sign(step), np.abs(error))
             overshoot = float(np.max(beyond.max(axis=0) / size, initial=0.0))
-            outside = np.flatnonzero(np.any(np.abs(error) > BAND, axis=1))
+            outside = np.flatnonzero(np.any(np.abs(error) > self.weights.settled, axis=1))
             settling = 0.0 if len(outside) == 0 else float((outside[-1] + 1) * t.control_dt)
             last_quarter = slice(-(len(q) // 4), None)
             restless = float(np.ptp(q[last_quarter], axis=0).max())
@@ -362,7 +388,8 @@ class Problem:
         for (settings, member), *own in zip(runs, *by_task, strict=True):
             calm = not any(run.diverged or run.restless > BAND for run in own)
             moduli = self.moduli(settings, member, raised=raised or member <= 1) if calm else (math.nan, math.nan)
-            found.append(LegOutcome(own, *moduli))
+            give = self.give(settings, member) if self.weights.give and moduli[0] < 1 else 0.0
+            found.append(LegOutcome(own, *moduli, give))
         return found
 
     def judge(self, legs: Sequence[LegOutcome]) -> Evaluation:
@@ -435,9 +462,11 @@ def judged(legs: Sequence[LegOutcome], counts: Sequence[float], weighing: Weight
         members = (math.nan,) * len(legs)
         return Evaluation(1e9 * diverged, nothing, members, math.inf, saturation, math.nan, math.nan, False, False)
     weighted = np.einsum("mtk,t->mk", terms, shares) * weights
-    member_costs = weighted.sum(axis=1)
+    gives = weighing.give * np.array([leg.give for leg in legs])
+    member_costs = weighted.sum(axis=1) + gives
     cost = (1 - weighing.worst) * member_costs.mean() + weighing.worst * member_costs.max()
-    beyond = max(overshoot - limits.overshoot, 0.0) + max(saturation - limits.saturation, 0.0)
+    told = ((overshoot, limits.overshoot), (saturation, limits.saturation))
+    beyond = sum(max(own - most, 0.0) for own, most in told if not math.isnan(own))
     modulus = max(leg.modulus for leg in legs) if calm else math.nan
     stable = calm and modulus < 1
     raised = max(leg.raised_modulus for leg in legs) if stable else math.nan
@@ -451,7 +480,8 @@ def judged(legs: Sequence[LegOutcome], counts: Sequence[float], weighing: Weight
         cost = 1e3 * (1 + beyond + slow + 10 * max(raised - 1, 0.0))
     return Evaluation(
         float(cost),
-        {key: float(value) for key, value in zip(TERMS, weighted.mean(axis=0), strict=True)},
+        {key: float(value) for key, value in zip(TERMS, weighted.mean(axis=0), strict=True)}
+        | ({"give": float(gives.mean())} if gives.any() else {}),
         tuple(float(c) for c in member_costs),
         overshoot,
         saturation,

@@ -93,7 +93,7 @@ class PlantProblem:
         driven: (nj,) joints on which an actuator acts.
         span: (na,) range of each command, of one without limits what the first candidate uses of it.
         control_dt: time between two commands [s].
-        margin: whether the second robot is also tried with the limits' further dead time.
+        margin: whether the second robot also has to come to rest with the limits' further dead time.
         starts: of each robot where its runs begin; found when they are needed where there are none.
     """
 
@@ -184,7 +184,7 @@ class PlantProblem:
             size = np.maximum(np.abs(way), BAND)
             beyond = np.where(np.abs(way) > BAND, after * np.sign(way), np.abs(after))
             overshoot = float(np.max(beyond.max(axis=0) / size, initial=0.0))
-            outside = np.flatnonzero(np.any(np.abs(after) > BAND, axis=1))
+            outside = np.flatnonzero(np.any(np.abs(after) > self.weights.settled, axis=1))
             settling = 0.0 if len(outside) == 0 else float((outside[-1] + 1) * dt)
             last = slice(-(len(after) // 4), None)
             restless = float(np.ptp(after[last], axis=0).max())
@@ -203,48 +203,91 @@ class PlantProblem:
         own, raised = growth(candidate.table, member, self.poses(), (1.0, self.limits.gain_margin))
         return float(own), float(raised)
 
+    @property
+    def _limits(self) -> Limits:
+        """What joints without actuator do may die away as slowly as it does."""
+        return self.limits if self.driven.all() else replace(self.limits, modulus=JUST_STABLE)
+
+    def keeps(self, modulus: float, raised: float) -> bool:
+        """Whether a robot's linearised loops keep the limits."""
+        return modulus <= self._limits.modulus and raised < 1
+
     def member_outcomes(self, candidates: Sequence[Candidate], number: int) -> list[LegOutcome]:
-        """Candidates on one robot of the ensemble."""
+        """Candidates on one robot of the ensemble; those whose linearised loops are beyond limits there do not run."""
         member = self.members[number]
         starts = self.starts[number] if self.starts else self.begun(member)
         pairs = list(zip(self.tasks, starts, strict=True))
         found = []
         for candidate in candidates:
+            moduli = self.moduli(candidate, member)
+            if not self.keeps(*moduli):
+                found.append(LegOutcome([NOT_RUN] * len(pairs), *moduli))
+                continue
             runs = [self.outcome(candidate, member, task, start) for task, start in pairs]
             calm = not any(own.diverged or own.restless > BAND for own in runs)
-            if calm and self.margin and number == HARDEST:
-                slower = later(member, self.limits.delay_margin)
-                more = [self.outcome(candidate, slower, task, start) for task, start in pairs]
-                runs = [
-                    LOST if other.diverged else replace(own, restless=max(own.restless, other.restless))
-                    for own, other in zip(runs, more, strict=True)
-                ]
-                calm = not any(own.diverged or own.restless > BAND for own in runs)
-            found.append(LegOutcome(runs, *(self.moduli(candidate, member) if calm else (math.nan, math.nan))))
+            found.append(LegOutcome(runs, *(moduli if calm else (math.nan, math.nan))))
         return found
 
-    def judge(self, outcomes: Sequence[LegOutcome]) -> Evaluation:
-        """See ``tuning.objective.judged``; what joints without actuator do may die away as slowly as it does."""
-        limits = self.limits if self.driven.all() else replace(self.limits, modulus=JUST_STABLE)
-        return judged(outcomes, [task.weight for task in self.tasks], self.weights, limits)
+    def delayed_outcomes(self, candidate: Candidate) -> list[Outcome]:
+        """A candidate on the robot that is latest, when it is later still by the limits' further dead time."""
+        number = min(HARDEST, len(self.members) - 1)
+        member = self.members[number]
+        starts = self.starts[number] if self.starts else self.begun(member)
+        slower = later(member, self.limits.delay_margin)
+        return [self.outcome(candidate, slower, task, start) for task, start in zip(self.tasks, starts, strict=True)]
 
-    def evaluations(self, candidates: Sequence[Candidate], pool: computer.Workers) -> Iterator[Evaluation]:
+    def judge(self, outcomes: Sequence[LegOutcome]) -> Evaluation:
+        """See ``tuning.objective.judged``."""
+        return judged(outcomes, [task.weight for task in self.tasks], self.weights, self._limits)
+
+    def evaluations(
+        self, candidates: Sequence[Candidate], pool: computer.Workers, so_far: Sequence[Evaluation] = ()
+    ) -> Iterator[Evaluation]:
         """Of candidates on all robots, in their order, as they are known.
 
-        One that does not come to rest on the robot that is latest is not tried on the others.
+        What cannot make one the result is left out: the other robots, where it fails on the one that is latest or
+        costs too much there for them to make up; the further dead time, where it costs too much on all.
+
+        Args:
+            candidates: to try.
+            pool: where.
+            so_far: of candidates tried before these, by which they are beaten.
         """
         hardest = min(HARDEST, len(self.members) - 1)
         rest = [k for k in range(len(self.members)) if k != hardest]
+        incumbent = min((own.cost for own in so_far if own.feasible), default=math.inf)
+        # On each robot as cheap as the cheapest candidate there, and some more, is as much as is thought possible.
+        whole = [own.member_costs for own in so_far if own.within and len(own.member_costs) == len(self.members)]
+        possible = (1 - CHEAPER) * np.min(whole, axis=0) if whole else np.zeros(len(self.members))
         size = AHEAD * pool.count
         for begin in range(0, len(candidates), size):
             part = candidates[begin : begin + size]
             first = [legs[0] for legs in self._shared(pool, [([own], hardest) for own in part])]
-            calm = [k for k, leg in enumerate(first) if leg.calm]
-            others = iter(self._shared(pool, [([part[k]], member) for k in calm for member in rest]))
-            for leg in first:
-                legs = [next(others)[0] for _ in rest] if leg.calm else []
-                legs.insert(hardest, leg)
-                yield self.judge(legs)
+            alone = [self.judge([leg]) for leg in first]
+            costs = [self._at_least(own.member_costs[0], possible, hardest) for own in alone]
+            going = [k for k, own in enumerate(alone) if own.feasible and costs[k] < incumbent]
+            others = iter(self._shared(pool, [([part[k]], member) for k in going for member in rest]))
+            found: dict[int, list[LegOutcome]] = {}
+            for k in going:
+                found[k] = [next(others)[0] for _ in rest]
+                found[k].insert(hardest, first[k])
+            known = {k: self.judge(legs) for k, legs in found.items()}
+            if self.margin:
+                cheap = [k for k, own in known.items() if own.feasible and own.cost < incumbent]
+                known |= {k: replace(own, feasible=False, beaten=own.feasible) for k, own in known.items()}
+                slower = dict(pool.each(PlantProblem.delayed_outcomes, [(self, part[k]) for k in cheap]))
+                for index, k in enumerate(cheap):
+                    found[k][hardest] = _the_worse(first[k], slower[index])
+                    known[k] = self.judge(found[k])
+            for k, own in enumerate(alone):
+                beaten = replace(own, cost=costs[k], feasible=False, beaten=True) if own.feasible else own
+                yield known.get(k, beaten)
+
+    def _at_least(self, cost: float, possible: Array, number: int) -> float:
+        """What a candidate costs at least that costs so much on one robot, and what is thought possible on others."""
+        each = possible.copy()
+        each[number] = cost
+        return float((1 - self.weights.worst) * each.mean() + self.weights.worst * each.max())
 
     def on_each(self, candidates: Sequence[Candidate], pool: computer.Workers) -> list[list[Evaluation]]:
         """Of each candidate what it is worth on each robot alone."""
@@ -268,6 +311,12 @@ class PlantProblem:
 
 HARDEST = 1
 """Number of the robot of an ensemble that is hardest to keep stable."""
+SLOWER, SLOWINGS = 2**-0.25, 9
+"""Factor on the speed of loops that are too fast to begin with, and how many speeds are tried: down to a quarter."""
+CHEAPER = 0.2
+"""Share by which a candidate is thought to be cheaper on a robot than any before it, where it was not tried there."""
+NOT_RUN = Outcome(np.full(len(TERMS), math.nan), math.nan, 0.0, False)
+"""Of a run that was not made."""
 LOST = Outcome(np.full(len(TERMS), math.inf), 1.0, math.inf, True)
 """Of a run that came to nothing."""
 
@@ -309,6 +358,7 @@ def make_plant_problem(
         controller, entry, space, model, members, tasks, study.weights, study.limits, study.ensemble.noise, study.seed,
         _driven(model, first), span, plant.spec.control_dt, space.growth is None and study.limits.delay_margin > 0,
     )  # fmt: skip
+    problem = replace(problem, space=_slowed(problem))
     # What fails at once fails here, in a sentence.
     brief = replace(tasks[0], duration=min(tasks[0].duration, TRIED * problem.control_dt))
     problem.driven_by(problem.first, model, brief)
@@ -317,6 +367,30 @@ def make_plant_problem(
         return problem
     used = np.vstack([problem.driven_by(problem.first, members[0], task).command for task in tasks])
     return replace(problem, span=np.where(bounded, span, np.maximum(np.ptp(used, axis=0), 1e-9)))
+
+
+def _the_worse(leg: LegOutcome, slower: Sequence[Outcome]) -> LegOutcome:
+    """A robot's outcome that comes to rest only where it also does when it is later still."""
+    runs = [
+        LOST if other.diverged else replace(own, restless=max(own.restless, other.restless))
+        for own, other in zip(leg.runs, slower, strict=True)
+    ]
+    return replace(leg, runs=runs)
+
+
+def _slowed(problem: PlantProblem) -> SearchSpace:
+    """The space, begun with loops that keep the limits on all robots; as it is where none of those tried do.
+
+    Placed gains are looked at on the model as it is known; an ensemble has lighter robots behind later drives.
+    """
+    space = problem.space
+    if space.growth is None or not space.speed:
+        return space
+    for step in range(SLOWINGS):
+        slower = replace(problem, space=space.begun_at(SLOWER**step))
+        if all(problem.keeps(*slower.moduli(slower.first, member)) for member in problem.members[::-1]):
+            return slower.space
+    return space
 
 
 def _driven(model: Model, pose: Array) -> NDArray[np.bool_]:
@@ -398,7 +472,9 @@ def tune_on_plant(
     search.over = time_is_up(budget)
     on_unseen, start_unseen = list[Evaluation](), list[Evaluation]()
     with computer.workers(workers, prepare=prepare) as pool:
-        search.evaluate = lambda batch: problem.evaluations([problem.candidate(values) for values in batch], pool)
+        search.evaluate = lambda batch: problem.evaluations(
+            [problem.candidate(values) for values in batch], pool, [trial.evaluation for trial in search.history]
+        )
         interrupted = search.interrupted()
         best = best_feasible(search.history, noun=PlantTuning.noun, member=PlantTuning.member)
         settings, first = problem.candidate(np.array(best.values)), problem.first

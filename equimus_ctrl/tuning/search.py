@@ -1,5 +1,9 @@
 """The search itself: a spread of first tries, CMA-ES from the best of them, Nelder–Mead at the end; resumable.
 
+A budget that is too small for CMA-ES to learn anything goes to a surrogate of the costs instead: cubic radial basis
+functions through all that was tried, whose promising places about the best are tried next (Regis and Shoemaker, INFORMS
+Journal on Computing 19, 2007).
+
 Everything is driven by the study's seed, and every evaluation is handed to a journal as soon as it is known. A search
 that is started again with the same journal asks for the same candidates in the same order and takes the answers it
 already has, so it ends with the same bits as one that was never interrupted.
@@ -15,6 +19,7 @@ from typing import Any, Protocol
 import cmaes
 import numpy as np
 from numpy.typing import NDArray
+from scipy.interpolate import RBFInterpolator
 from scipy.optimize import minimize
 
 from equimus_ctrl.controllers.search_space import Range
@@ -24,7 +29,18 @@ from equimus_ctrl.tuning.study import AnyStudy
 from equimus_ctrl.types import Array
 
 GENERATIONS = 5
-"""Of CMA-ES that a budget is to last for, where populations need not be smaller than usual for that."""
+"""Of CMA-ES that a budget is to last for, where populations need not be smaller than usual for that; one that does not
+last for so many of the usual size is the surrogate's."""
+AT_ONCE = 2
+"""Candidates that are tried before the surrogate is made anew."""
+NEAR, NEARER = 0.2, 0.25
+"""Standard deviation of the surrogate's candidates about the best, in ranges, and what a third of them have of it."""
+DRAWN = 200
+"""How many are drawn for each number that is searched."""
+PROMISE = 0.95, 0.8
+"""Weights of a low cost by the surrogate beside distance from what was tried, in turn."""
+RIDGE = 1e-6
+"""Smoothing of the surrogate: candidates may lie on one another."""
 
 
 class Journal(Protocol):
@@ -45,7 +61,7 @@ class Trial:
 
     Attributes:
         index: in the order of the search.
-        stage: ``"start"``, ``"spread"``, ``"cma-es"`` or ``"nelder-mead"``.
+        stage: ``"start"``, ``"spread"``, ``"cma-es"``, ``"surrogate"`` or ``"nelder-mead"``.
         values: the gains, see ``Study.ranges``.
         evaluation: what they are worth.
         reused: whether the answer came from the journal.
@@ -130,7 +146,10 @@ class Search:
         try:
             self._spread()
             while len(self.history) < self.budget - self._polish_budget():
-                self._cma()
+                if self._is_small:
+                    self._surrogate()
+                else:
+                    self._cma()
             self._nelder_mead()
         except _BudgetSpent:
             pass
@@ -138,6 +157,16 @@ class Search:
     def best(self) -> Trial:
         """The cheapest candidate so far."""
         return min(self.history, key=lambda trial: trial.evaluation.cost)
+
+    @property
+    def _is_small(self) -> bool:
+        """Whether the budget is the surrogate's; one number needs none, see ``_cma``."""
+        return len(self.low) > 1 and self.budget - self._polish_budget() < GENERATIONS * self._usual
+
+    @property
+    def _usual(self) -> int:
+        """CMA-ES's population (Hansen, 2016)."""
+        return 4 + int(3 * math.log(len(self.low)))
 
     def _polish_budget(self) -> int:
         return round(self.polish * self.budget)
@@ -180,10 +209,16 @@ class Search:
     def _spread(self) -> None:
         n = len(self.low)
         self._try("start", [self._unit(self.start.tolist())])
+        near = self._unit(self.start.tolist())
+        rng = np.random.default_rng(self.seed)
+        if self._is_small:
+            # As many as a plane takes, about the start: a few cannot cover the cube.
+            points = latin_hypercube(min(n + 1, self.budget // 2), n, rng)
+            self._try("spread", [near + 3 * NEAR * (p - 0.5) for p in points])
+            return
         count = min(8 * n, self.budget // 6)
         # The first tries cover the cube evenly, and half of them lie nearer to the start.
-        points = latin_hypercube(count, n, np.random.default_rng(self.seed))
-        near = self._unit(self.start.tolist())
+        points = latin_hypercube(count, n, rng)
         self._try("spread", [p if k % 2 else near + 0.4 * (p - 0.5) for k, p in enumerate(points)])
 
     def _cma(self) -> None:
@@ -195,7 +230,7 @@ class Search:
             room = self.budget - self._polish_budget() - len(self.history)
             self._try("spread", [np.array([(k + 0.5) / count]) for k in range(count)][:room])
             return
-        usual = 4 + int(3 * math.log(n))  # Hansen's (2016); twice as many go well side by side where there is time
+        usual = self._usual  # twice as many go well side by side where there is time
         optimiser = cmaes.CMA(
             mean=self._unit(self.best().values),
             sigma=0.15 if restarts == 0 else 0.3,
@@ -210,6 +245,33 @@ class Search:
             costs = self._try("cma-es", points)
             optimiser.tell(list(zip(points, costs, strict=True)))
 
+    def _surrogate(self) -> None:
+        n, near = len(self.low), NEAR
+        while (room := self.budget - self._polish_budget() - len(self.history)) > 0:
+            tried = np.array([np.clip(self._unit(trial.values), 0.0, 1.0) for trial in self.history])
+            costs = np.array([trial.evaluation.cost for trial in self.history])
+            # Candidates beyond limits count as the worst within: a penalty's size is none of the cost's.
+            within = costs[[trial.evaluation.within for trial in self.history]]
+            costs = np.minimum(costs, within.max()) if len(within) else np.argsort(np.argsort(costs)).astype(float)
+            # A plane takes one more than there are numbers.
+            kernel, degree = ("cubic", 1) if len(tried) > n else ("linear", 0)
+            surrogate = RBFInterpolator(tried, costs, smoothing=RIDGE, kernel=kernel, degree=degree)
+            rng = np.random.default_rng([self.seed, len(self.history)])
+            best = self._unit(self.best().values)
+            drawn = rng.standard_normal((DRAWN * n, n))
+            drawn[::3] *= NEARER
+            drawn = np.clip(best + near * drawn, 0.0, 1.0)
+            promise = _unit_scaled(surrogate(drawn))
+            points: list[Array] = []
+            for weight in PROMISE[: min(AT_ONCE, room)]:
+                known = np.vstack([tried, *points])
+                apart = np.linalg.norm(drawn[:, None] - known[None], axis=2).min(axis=1)
+                points.append(drawn[int(np.argmin(weight * promise - (1 - weight) * _unit_scaled(apart)))])
+            before = self.best()
+            self._try("surrogate", points)
+            if self.best() is before:
+                near /= 2
+
     def _nelder_mead(self) -> None:
         start = self._unit(self.best().values)
         size = 0.04
@@ -222,3 +284,9 @@ class Search:
                 options={"initial_simplex": simplex, "xatol": 1e-3, "fatol": 1e-6, "adaptive": True, "maxfev": 10**6},
             )
             start, size = np.clip(found.x, 0.0, 1.0), size / 4
+
+
+def _unit_scaled(values: Array) -> Array:
+    """From 0, the least, to 1, the most."""
+    span = float(np.ptp(values))
+    return np.asarray((values - values.min()) / (span or 1.0))

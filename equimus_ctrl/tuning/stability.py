@@ -25,6 +25,8 @@ from equimus_ctrl.robots.elastic.morphology import Morphology, Phase
 from equimus_ctrl.tuning.ensemble import Member
 from equimus_ctrl.types import Array
 
+DOUBLINGS = 12
+"""Of the periods over which a response is summed: 4096, in which a mode of modulus 0.998 dies away to 3·10⁻⁴."""
 SLOPES = 64
 """At how many commands the steepest slope of what shaping leaves of them is looked for."""
 
@@ -46,6 +48,7 @@ class LinearLeg:
             stands: none for lengths, and none where the nominal model is the leg's own.
         shaping: (na, na) S, what reaches the valves per command; all of it where it is None.
         sensor_delay: (nj,) dead time of each measured joint angle [s]; none where it is None.
+        load: (n, na) of pressures at the actuators, as B has it of what reaches the valves; B itself where it is None.
     """
 
     a: Array
@@ -56,6 +59,12 @@ class LinearLeg:
     pose_gain: Array
     shaping: Array | None = None
     sensor_delay: Array | None = None
+    load: Array | None = None
+
+    @property
+    def joints(self) -> int:
+        """How many; angles come first among the states, then as many velocities."""
+        return int(np.flatnonzero(np.any((self.b if self.load is None else self.load) != 0, axis=1))[0])
 
 
 def linear_legs(
@@ -128,6 +137,7 @@ def linear_leg(
         pose_gain,
         _steepest(member.effects, nominal),
         sensor[:, SENSOR_DELAY] if np.any(sensor[:, SENSOR_DELAY] > 0) else None,
+        np.vstack([b, np.zeros((len(slow), na))]),
     )
 
 
@@ -168,6 +178,7 @@ class SampledLeg:
         whole: (na,) whole periods of delay.
         newer: (n, na) effect of the command ``whole`` periods ago.
         older: (n, na) effect of the one before, which still acts for the rest of the delay.
+        load: (n, na) effect of a pressure at each actuator beside what comes through its valve.
     """
 
     leg: LinearLeg
@@ -176,6 +187,7 @@ class SampledLeg:
     whole: tuple[int, ...]
     newer: Array
     older: Array
+    load: Array
 
 
 def sample(leg: LinearLeg, dt: float) -> SampledLeg:
@@ -187,8 +199,8 @@ def sample(leg: LinearLeg, dt: float) -> SampledLeg:
         last_phi, last_gain = _held(leg.a, leg.b[:, [i]], dt - rest)
         newer[:, [i]] = last_gain
         older[:, [i]] = last_phi @ _held(leg.a, leg.b[:, [i]], rest)[1]
-    phi, _ = _held(leg.a, leg.b, dt)
-    return SampledLeg(leg, dt, phi, tuple(int(w) for w in whole), newer, older)
+    phi, load = _held(leg.a, leg.b if leg.load is None else leg.load, dt)
+    return SampledLeg(leg, dt, phi, tuple(int(w) for w in whole), newer, older, load)
 
 
 def loop_matrix(sampled: SampledLeg, gains: Array) -> Array:
@@ -230,6 +242,31 @@ def loop_matrix(sampled: SampledLeg, gains: Array) -> Array:
     out[i_der : i_der + nz] = derivative
     out[i_pre : i_pre + nz] = -z_row
     return out
+
+
+def load_response(sampled: SampledLeg, gains: Array, load: Array) -> float:
+    """How far a leg gives way to a load that sets in and stays, until its integrals have taken it up [rad √s].
+
+    √(Σ |q|² dt) of the joint angles, root mean square over loads at each actuator alone. From the state x* that the
+    loop settles in, the deviation dies away as −Mᵏ x*, of which the sum of squares is x*ᵀ S x* with S = CᵀC + Mᵀ S M,
+    summed up by doubling (Smith, SIAM Journal on Applied Mathematics 16, 1968).
+
+    Args:
+        sampled: the leg; its loop is stable.
+        gains: see ``loop_matrix``.
+        load: (na,) [Pa].
+    """
+    matrix = loop_matrix(sampled, gains)
+    size, (n, na), nj = len(matrix), sampled.load.shape, sampled.leg.joints
+    acts = np.zeros((size, na))
+    acts[:n] = sampled.load * load
+    settled = np.linalg.solve(np.eye(size) - matrix, acts)
+    total, power = np.zeros((size, size)), matrix
+    total[np.arange(nj), np.arange(nj)] = 1.0
+    for _ in range(DOUBLINGS):
+        total = total + power.T @ total @ power
+        power = power @ power
+    return math.sqrt(max(sampled.dt * float(np.einsum("ki,kl,li->", settled, total, settled)) / na, 0.0))
 
 
 def _seen(periods: Array, dt: float, eye: Array, n: int, first: int) -> Array:

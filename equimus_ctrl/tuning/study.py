@@ -52,20 +52,25 @@ class Weights:
     Attributes:
         error: of the root mean square tracking error [1/rad].
         overshoot: of the largest overshoot as a share of the step.
-        settling: of the time until within 0.03 rad for good [1/s].
+        settling: of the time until within ``settled`` for good [1/s].
         offset: of the root mean square error in the last quarter of a step [1/rad].
         effort: of the root mean square pressure as a share of the range.
         chatter: of the pressure travelled per second as a share of the range [s].
+        give: of how far the linearised loops give way to a load of a tenth of the command range that sets in and stays
+            [1/(rad √s)]; of the PID on the compiled loop.
         worst: share of the worst member in the cost.
+        settled: a joint has settled when it stays so near to its reference [rad].
     """
 
     error: float = 10.0
     overshoot: float = 0.5
-    settling: float = 0.1
+    settling: float = 0.3
     offset: float = 20.0
     effort: float = 0.2
     chatter: float = 0.05
+    give: float = 30.0
     worst: float = 0.5
+    settled: float = 0.0087
 
     def __post_init__(self) -> None:
         for key, value in asdict(self).items():
