@@ -12,9 +12,9 @@ standard deviation of each joint's remaining forces,
 
     min ‖r − J δ − Σ C_k c_k‖² + ‖(θ + δ − θ₀)/s‖²
 
-s is half the way between a parameter's bounds: it is known to be within these. All sums of squares are of one Gram
-matrix, so that any set of candidates costs a few small factorisations. What unknown zeros of the sensors can do to the
-forces is projected out of r, J and C before.
+s is half the way between a parameter's bounds: it is known to be within these. Gains of drives are held, see
+``torque_columns.DRIVE_GAINS``. All sums of squares are of one Gram matrix, so that any set of candidates costs a few
+small factorisations. What unknown zeros of the sensors can do to the forces is projected out of r, J and C before.
 """
 
 from __future__ import annotations
@@ -250,10 +250,11 @@ def _width(free: FreeParameters, theta: Array, motions: Sequence[MeasuredMotion]
 
     What is left is that of a least-squares fit of the parameters and the usual laws.
     """
-    crossing = min(
-        float(np.min(np.ptp(m.position, axis=0) / np.maximum(np.abs(np.diff(m.position, axis=0)).max(axis=0), 1e-12)))
-        for m in motions
+    covered, fastest = (
+        np.max([of(m.position) for m in motions], axis=0)
+        for of in (lambda q: np.ptp(q, axis=0), lambda q: np.abs(np.diff(q, axis=0)).max(axis=0))
     )
+    crossing = float(np.min(covered / np.maximum(fastest, 1e-12)))  # over all motions: in some a joint may stand
     usable = [w for w in WIDTHS if w <= max(CROSSES * crossing, WIDTHS[0]) and 8 * w < len(motions[0].time)]
     best, least = WIDTHS[0], math.inf
     for width in usable:
