@@ -224,18 +224,6 @@ def test_gains_are_those_of_least_squares() -> None:
     assert chi2 == pytest.approx(screen.missing) and sizes == [[0.0]]
 
 
-def test_a_motion_in_which_a_joint_stands_does_not_narrow_test_functions() -> None:
-    moving = recorded(Model(ROBOT), count=3, seed=9, seconds=6.0)
-    held = replace(moving[0], name="held", position=np.full_like(moving[0].position, 0.2))
-    widths = []
-    for recordings in (moving, [held, *moving]):
-        data = data_of(ROBOT, recordings)
-        domain = torque_domain(data, candidates(Model(ROBOT), data.segments))
-        assert domain is not None
-        widths.append(domain.width)
-    assert widths[0] == widths[1] > 2
-
-
 def test_stiffnesses_of_servos_are_held() -> None:
     """All that a drive exerts grows with its gain, its noise too; so least squares would shrink it."""
     model = Model(SERVOED)

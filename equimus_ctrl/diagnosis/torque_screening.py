@@ -250,11 +250,10 @@ def _width(free: FreeParameters, theta: Array, motions: Sequence[MeasuredMotion]
 
     What is left is that of a least-squares fit of the parameters and the usual laws.
     """
-    covered, fastest = (
-        np.max([of(m.position) for m in motions], axis=0)
-        for of in (lambda q: np.ptp(q, axis=0), lambda q: np.abs(np.diff(q, axis=0)).max(axis=0))
+    crossing = min(
+        float(np.min(np.ptp(m.position, axis=0) / np.maximum(np.abs(np.diff(m.position, axis=0)).max(axis=0), 1e-12)))
+        for m in motions
     )
-    crossing = float(np.min(covered / np.maximum(fastest, 1e-12)))  # over all motions: in some a joint may stand
     usable = [w for w in WIDTHS if w <= max(CROSSES * crossing, WIDTHS[0]) and 8 * w < len(motions[0].time)]
     best, least = WIDTHS[0], math.inf
     for width in usable:
