@@ -11,10 +11,13 @@ from equimus_ctrl.diagnosis.holdout import split
 from equimus_ctrl.diagnosis.hypothesis import default_free_parameters
 from equimus_ctrl.diagnosis.intervals import forgets
 from equimus_ctrl.diagnosis.servo_gains import servo_gains, told, with_servo_gains
+from equimus_ctrl.engines.mjcf import simulate_mjcf
+from equimus_ctrl.engines.trials import Trial
 from equimus_ctrl.identification.simulators import simulator_for
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.report.diagnosis_page import page
 from equimus_ctrl.robots.mjcf.robot import MjcfRobot
+from equimus_ctrl.types import Recording
 
 TRUE = 12.0
 
@@ -95,6 +98,20 @@ def test_a_servo_forgets_where_it_began_and_a_pendulum_does_not() -> None:
         # Short intervals tell nothing that long ones do not, where the state is forgotten within them.
         short = split(own, trials, shoot=None if expected else 4.0).short_segments
         assert bool(short) is not expected
+
+
+def test_where_a_joint_stands_nothing_is_told_of_what_it_forgets() -> None:
+    """Dry friction keeps a change of where it stands until it moves again; most of these trials it stands."""
+    own = Model(MjcfRobot("arm", PENDULUM.format(drive=SERVO).replace("armature=", 'frictionloss="0.6" armature=')))
+    time = np.arange(0, 12, 0.02)
+    goal = np.where(time < 3, 0.4 * np.sin(2 * np.pi * time / 1.5), 0.1)[:, None]
+    trials = []
+    for k in range(2):
+        angle = simulate_mjcf([own], [Trial("t", time, goal, goal[0], 0.0, np.zeros(1), time)], threads=1)[0].position[
+            0
+        ]
+        trials.append(Recording(f"t{k}", time, goal, angle, ("drive",), ("hinge",)))
+    assert forgets(own, trials, None, simulator_for(own, [r.position for r in trials]))
 
 
 def test_the_loop_decides_what_is_forgotten() -> None:

@@ -265,6 +265,26 @@ def test_gains_are_those_of_least_squares() -> None:
     assert chi2 == pytest.approx(screen.missing) and sizes == [[0.0]]
 
 
+def test_stiffnesses_of_servos_are_held() -> None:
+    """All that a drive exerts grows with its gain, its noise too; so least squares would shrink it."""
+    model = Model(SERVOED)
+    parts = split(model, recorded(model, seed=10, seconds=6.0, noise=2e-3))
+    freed = [default_free_parameters(model, ["arm.*", *more]) for more in ((), ("drive.kp",))]
+    gains, moved = [], []
+    for free in freed:
+        data = Data(free, parts.train, Simulator(engine_for(model), 1))
+        pool = [
+            c for c in candidates(model, data.segments) if c.label in ("constant_force:hinge", "viscous_friction:hinge")
+        ]
+        domain = torque_domain(data, pool)
+        assert domain is not None
+        screen = torque_screen(data, domain, None, pool)
+        gains.append([fit.gain for fit in screen.alone().values()])
+        moved.append(dict(zip(free.names, screen.moved([], []), strict=True)))
+    assert gains[1] == pytest.approx(gains[0], rel=1e-6)
+    assert moved[1].pop("drive.kp") == 12.0 and moved[1] == pytest.approx(moved[0], rel=1e-6)
+
+
 def test_it_does_not_matter_where_parameters_are_that_forces_are_linear_in() -> None:
     """What is known of them included: the minimum of a quadratic function does not depend on where it is expanded."""
     data = data_of(ROBOT, recorded(Model(ROBOT, (ViscousFriction("hinge", 0.1),)), seed=8, seconds=6.0))

@@ -50,14 +50,14 @@ class Longest:
 
 def motion_length(model: Model, segments: Sequence[Segment]) -> float:
     """The longest intervals in which the fastest joint crosses its range hardly more than once [s]."""
-    time = _crossing(model, segments)
+    time = _crossing(model, segments).min()
     return next((length for length in LENGTHS if length <= ONCE * time), LENGTHS[-1])
 
 
-def _crossing(model: Model, segments: Sequence[Segment]) -> float:
-    """In what time the fastest joint crosses what it covers [s]."""
+def _crossing(model: Model, segments: Sequence[Segment]) -> Array:
+    """(nj,) in what time each joint crosses what it covers [s]."""
     excitation = excitation_of(model, segments)
-    return min(excitation[joint].span / excitation[joint].speed for joint in model.robot.joint_names)
+    return np.array([excitation[joint].span / excitation[joint].speed for joint in model.robot.joint_names])
 
 
 def longest_interval(
@@ -107,7 +107,9 @@ def forgets(
 ) -> bool:
     """Whether a model forgets its initial state before a joint has crossed its range, as one held by its servos does.
 
-    By a change of all joints by half of what they usually move. A free pendulum forgets it much later, if ever.
+    By a change of all joints by half of what they usually move. A free pendulum forgets it much later, if ever. Where
+    dry friction holds a joint it keeps the change, and lets go of it as soon as the joint moves: so a joint is judged
+    by the intervals in which it moves as far, of all where it does in none.
 
     Args:
         model: that is judged.
@@ -117,7 +119,7 @@ def forgets(
     """
     whole = [s for r in recordings for s in cut(model, [r], window=window)]
     time = _crossing(model, whole)
-    segments = [s for r in recordings for s in cut(model, [r], window=window, shoot=2 * time)]
+    segments = [s for r in recordings for s in cut(model, [r], window=window, shoot=2 * float(time.max()))]
     chosen = [segments[k] for k in _some(len(segments))]
     spread, nj = np.median([r.position.std(axis=0) for r in recordings], axis=0), len(model.robot.joint_names)
     shift = CLOSE_TO_MEASURED * spread
@@ -131,11 +133,16 @@ def forgets(
     here, there = (residuals_of(model, own, simulator, 0) for own in (chosen, moved))
     if not all(np.abs(own).max() < DIVERGED / 2 for own in (*here, *there)):
         return False
-    left = [
-        np.max(np.abs(a - b)[s.trial.sample_times > s.trial.start + time, :nj], axis=0, initial=0.0) / shift[:nj]
-        for s, a, b in zip(chosen, here, there, strict=True)
-    ]
-    return bool(np.all(np.median(left, axis=0) < FORGOTTEN))
+    for j, length in enumerate(time):
+        moving = [float(np.ptp(s.measured[:, j])) > shift[j] for s in chosen]
+        left = [
+            float(np.max(np.abs(a - b)[s.trial.sample_times > s.trial.start + length, j], initial=0.0))
+            for s, a, b, moves in zip(chosen, here, there, moving, strict=True)
+            if moves or not any(moving)
+        ]
+        if not np.median(left) < FORGOTTEN * shift[j]:
+            return False
+    return True
 
 
 def _some(count: int) -> list[int]:

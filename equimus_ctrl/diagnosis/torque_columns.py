@@ -26,6 +26,9 @@ from equimus_ctrl.types import Array
 
 STEP = 1e-3
 """Of differences, as a share of a parameter's scale, or of what a joint covers."""
+DRIVE_GAINS = ("kp", "gain")
+"""Parameters by which all that a drive exerts grows, the part of the positions' noise in it too. They are held: least
+squares would shrink them, and all other forces along, for nothing leaves less than no force at all."""
 USUAL_LAWS = ("viscous_friction", "coulomb_friction", "constant_force", "asymmetric_friction", "parallel_spring")
 """Laws that real joints have most: beside them what is left of joints' forces is taken for noise."""
 
@@ -141,6 +144,9 @@ def columns_of(
     slopes = []
     for i, own in enumerate(free.free):
         check()
+        if own.name.rpartition(".")[2] in DRIVE_GAINS:
+            slopes.append(np.zeros(counts.shape))
+            continue
         step = STEP * own.scale * (1.0 if theta[i] + STEP * own.scale <= own.high else -1.0)
         slopes.append(changed(free.model_at(theta + step * np.eye(len(theta))[i])) / step)
     single = _singles(model, along)

@@ -12,9 +12,9 @@ standard deviation of each joint's remaining forces,
 
     min ‖r − J δ − Σ C_k c_k‖² + ‖(θ + δ − θ₀)/s‖²
 
-s is half the way between a parameter's bounds: it is known to be within these. All sums of squares are of one Gram
-matrix, so that any set of candidates costs a few small factorisations. What unknown zeros of the sensors can do to the
-forces is projected out of r, J and C before.
+s is half the way between a parameter's bounds: it is known to be within these. Gains of drives are held, see
+``torque_columns.DRIVE_GAINS``. All sums of squares are of one Gram matrix, so that any set of candidates costs a few
+small factorisations. What unknown zeros of the sensors can do to the forces is projected out of r, J and C before.
 """
 
 from __future__ import annotations
