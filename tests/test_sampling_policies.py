@@ -390,12 +390,10 @@ def test_one_file_is_for_every_robot_and_what_plans_are_follows_from_it(model: M
     command, state = own.step(seen, pose, own.init(plant.spec, seen))
     assert isinstance(state, kind) and np.isfinite(command).all()
     # What is for plans of the other kind is refused, and left aside in a file that all robots share.
-    idle = {"risk": 0.5} if kind is PolicyState else {"effort": 0.2}
-    (name,) = idle
+    name, words = ("risk", "robots whose joints") if kind is PolicyState else ("effort", "robots with a joint")
+    idle = {name: 0.5}
     other = make_controller("sampling", {**table, **idle}, robot=model.robot, chosen=True)
-    assert refusal(lambda: other.init(plant.spec, seen)).startswith(
-        f"sampling: {name} is for robots with" if "effort" in idle else "sampling: risk is for robots whose"
-    )
+    assert refusal(lambda: other.init(plant.spec, seen)).startswith(f"sampling: {name} is for {words}")
     shared = make_controller("sampling", {**table, **idle}, where="sampling.toml", robot=model.robot)
     _, state = shared.step(seen, pose, shared.init(plant.spec, seen))
     assert state.note.startswith(f"sampling.toml: {name} left aside")

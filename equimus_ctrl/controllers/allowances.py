@@ -10,7 +10,8 @@ so that a joint that an actuator of its own drives gets the poles s² + 2 ζ ω 
 where joints outnumber actuators, α says which of them matters. ω begins at a share of what dead times, late sensors
 and the control period allow; lags are states that the regulator knows. It is lowered until the sampled loop, observer
 and unknown torques included, is stable in every pose looked at: as it is, with gains raised, and with what usually
-stands between commands and forces unknown, when it also has to die away where the robot begins.
+stands between commands and forces unknown, when it also has to die away where the robot begins. Where commands are cut
+off, a robot that falls has to be brought back from a share of where that can be done at all (``controllers.catching``).
 """
 
 from __future__ import annotations
