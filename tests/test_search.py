@@ -5,7 +5,6 @@ from __future__ import annotations
 import itertools
 import json
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -90,23 +89,6 @@ def test_a_converged_search_may_stop_early_but_never_late() -> None:
     search.run()
     assert len(search.history) <= 3000
     np.testing.assert_allclose(search.best().values, BEST, rtol=1e-4)
-
-
-def test_a_first_candidate_beyond_the_limits_is_slowed_down_until_one_keeps_them() -> None:
-    def judged(batch: list[np.ndarray]) -> Iterator[Evaluation]:
-        for values in batch:
-            keeps = bool(values[0] <= 0.6 * START[0])
-            yield replace(evaluation(1.0 if keeps else 100.0), feasible=keeps)
-
-    search = make(4, judged, polish=0.0)
-    search.slower = lambda share: (share * START).tolist()
-    search.run()
-    assert [trial.evaluation.feasible for trial in search.history] == [False, False, False, True]
-    assert search.history[3].values == pytest.approx(tuple(0.8**3 * START))
-    at_once = make(4, polish=0.0)
-    at_once.slower = search.slower
-    at_once.run()
-    assert at_once.history[1].stage != "start"
 
 
 def test_the_start_comes_first_and_stages_in_order() -> None:

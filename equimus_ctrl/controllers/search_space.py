@@ -89,8 +89,6 @@ class SearchSpace:
         made: what the settings file holds of ``first`` and the values that are searched; by default each value stands
             under its name.
         growth: of the controller's linearised sampled loops; None where there are none to look at.
-        powers: name → power of the loop's bandwidth that the number goes with, so that a loop can be made slower as a
-            whole where the first is too quick; none where that is not known.
     """
 
     ranges: Mapping[str, Range]
@@ -99,14 +97,6 @@ class SearchSpace:
         default=lambda first, values: _with(first, values)
     )
     growth: Growth | None = None
-    powers: Mapping[str, float] = field(default_factory=dict)
-
-    def slower(self, share: float) -> list[float]:
-        """The first values of a loop with a share of the bandwidth, each within its range."""
-        return [
-            min(max(own.start * share ** self.powers.get(name, 0.0), own.low), own.high)
-            for name, own in self.ranges.items()
-        ]
 
     def settings(self, values: Mapping[str, float]) -> dict[str, Any]:
         """What the settings file holds of values by name, which are taken to six digits: what is tried is written."""

@@ -396,7 +396,6 @@ def tune_on_plant(
     """
     search = Search.of(list(problem.space.ranges.values()), study, journal, notify)
     search.over = time_is_up(budget)
-    search.slower = problem.space.slower if problem.space.powers else None
     on_unseen, start_unseen = list[Evaluation](), list[Evaluation]()
     with computer.workers(workers, prepare=prepare) as pool:
         search.evaluate = lambda batch: problem.evaluations([problem.candidate(values) for values in batch], pool)

@@ -26,9 +26,6 @@ from equimus_ctrl.types import Array
 GENERATIONS = 5
 """Of CMA-ES that a budget is to last for, where populations need not be smaller than usual for that."""
 
-SLOWER, LEAST = 0.8, 0.4
-"""By so much the first candidate is slowed down each time while none keeps the limits, and its least share."""
-
 
 class Journal(Protocol):
     """Where evaluations are kept."""
@@ -87,7 +84,6 @@ class Search:
         restarts: how often CMA-ES has begun.
         linear: (n,) which values lie on a linear scale, the others on logarithmic ones; none by default.
         over: whether the time is up.
-        slower: share of the first candidate's bandwidth → (n,) values of a loop with that; None where it is not known.
     """
 
     low: Array
@@ -104,7 +100,6 @@ class Search:
     linear: NDArray[np.bool_] = field(default_factory=lambda: np.zeros(0, dtype=bool))
     over: Callable[[], bool] = lambda: False
     timed_out: bool = False
-    slower: Callable[[float], Sequence[float]] | None = None
 
     def __post_init__(self) -> None:
         if not len(self.linear):
@@ -185,22 +180,11 @@ class Search:
     def _spread(self) -> None:
         n = len(self.low)
         self._try("start", [self._unit(self.start.tolist())])
-        self._slow_down()
         count = min(8 * n, self.budget // 6)
-        # The first tries cover the cube evenly, and half of them lie nearer to the start, or to what it came to.
+        # The first tries cover the cube evenly, and half of them lie nearer to the start.
         points = latin_hypercube(count, n, np.random.default_rng(self.seed))
-        near = self._unit(self.best().values)
+        near = self._unit(self.start.tolist())
         self._try("spread", [p if k % 2 else near + 0.4 * (p - 0.5) for k, p in enumerate(points)])
-
-    def _slow_down(self) -> None:
-        """While no candidate keeps the limits: the first one again, with less and less bandwidth."""
-        share = SLOWER
-        while self.slower is not None and not any(trial.evaluation.feasible for trial in self.history):
-            values = self.slower(share)
-            if values == list(self.history[-1].values) or share < LEAST:
-                return
-            self._try("start", [self._unit(values)])
-            share *= SLOWER
 
     def _cma(self) -> None:
         n = len(self.low)
