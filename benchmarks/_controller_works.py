@@ -188,7 +188,7 @@ def ours(**nmpc: Any) -> dict[str, Maker]:
     return {
         "lqr": lambda seed: eq.LqrController(),
         "nmpc": lambda seed: eq.NmpcController(eq.NmpcSettings(**nmpc)),
-        "sampling": lambda seed: eq.SamplingController(eq.AnySamplingSettings(seed=seed)),
+        "sampling": lambda seed: eq.SamplingController(eq.SamplingSettings(seed=seed)),
     }
 
 
@@ -215,7 +215,7 @@ def swing_up() -> Work:
     scenario = load_scenario("swing_up", model.robot, options={"duration": "7"}, search=False)
     return Work("swing_up", model, replace(scenario, score_window=(6.0, 7.0)), {
         "nmpc": lambda seed: eq.NmpcController(eq.NmpcSettings(nodes=40, stride=5, iterations=20)),
-        "sampling": lambda seed: eq.SamplingController(eq.AnySamplingSettings(seed=seed)),
+        "sampling": lambda seed: eq.SamplingController(eq.SamplingSettings(seed=seed)),
         "do-mpc": lambda seed: DoMpc(0.3, 10.0, 0.5, nodes=50, stride=4, every=4, settle=0.5, wraps=(1,)),
         "judo": lambda seed: Judo(CARTPOLE, 0.3, 3.0, 1.0, 0.5, 1.2, seed, "cem", nodes=6, every=2, wraps=(1,)),
     })  # fmt: skip
@@ -237,7 +237,7 @@ def arm(file: Path, leg: float) -> Work:
     model = load_model(file)
     return Work("arm", model, path_of(model, leg, **SIZES["arm2"]), {
         **ours(nodes=20),
-        "sampling": lambda seed: eq.SamplingController(eq.AnySamplingSettings(seed=seed, horizon=0.5, samples=64)),
+        "sampling": lambda seed: eq.SamplingController(eq.SamplingSettings(seed=seed, horizon=0.5, samples=64)),
         "python-control": lambda seed: ControlLqr(0.02, 0.2, np.array([0.5, 0.07]), integral=0.005, time=0.008),
         "do-mpc": lambda seed: DoMpc(0.02, 0.3, np.array([0.1, 0.015]), nodes=20, settle=0.3, time=0.008),
         "judo": lambda seed: Judo(file, 0.02, 0.2, 1e3, np.array([0.3, 0.06]), 0.4, seed, every=2),

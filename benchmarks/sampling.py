@@ -1,7 +1,7 @@
 """How fast the sampling controller is, beside plain Python around mj_step, and how well each method drives the leg.
 
 1. The whole controller in closed loop (observer, reference, rollouts, costs): 32 plans of 40 steps, in MuJoCo and in
-   the reduced model; the leg with valves that lag, 2 mrad of noise, the triangle.
+   the exact equations; the leg with valves that lag, 2 mrad of noise, the triangle.
 2. Rollouts and costs alone, as plain Python does them: for each plan a loop around mj_step, on the same MuJoCo model
    with the same step, from the same state, with the same inputs, and the same costs to 1e-9. Once as hydrax and judo
    have it, a running cost at each step; once with all costs worked out at the end.
@@ -22,7 +22,8 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from equimus_ctrl.controllers.sampling import SamplingController, SamplingSettings
+from equimus_ctrl.controllers.sampling import SamplingController
+from equimus_ctrl.controllers.sampling_settings import SamplingSettings
 from equimus_ctrl.effects import Effect, FirstOrderLag
 from equimus_ctrl.models.kinematics import Kinematics
 from equimus_ctrl.models.mjcf import compile_model, place
@@ -62,12 +63,12 @@ def main() -> None:
 
 def closed_loop(reference: Reference, seconds: float) -> dict[str, Any]:
     """Times of a whole step, in turns, so that what else the machine does weighs on all alike."""
-    found: dict[str, list[float]] = {"mujoco": [], "reduced": []}
+    found: dict[str, list[float]] = {"mujoco": [], "exact": []}
     statuses: dict[str, Counter[str]] = {name: Counter() for name in found}
     for turn in range(3):
         for engine in found:
             plant = MujocoPlant(Model(LEG, LAG), noise=2e-3)
-            own = SamplingController(SamplingSettings(samples=SAMPLES, steps=STEPS, engine=engine))
+            own = SamplingController(SamplingSettings(samples=SAMPLES, horizon=STEPS * DT, engine=engine))
             done = run(plant, own, reference, seconds / 2, seed=turn)
             found[engine] += done.solve_time[60:].tolist()
             statuses[engine].update(done.status)
@@ -137,7 +138,7 @@ def plans_alone() -> dict[str, Any]:
     inputs = np.repeat(rng.uniform(5e3, 2e4, (SAMPLES, STEPS // 8, 2)), 8, axis=1)
     wanted = Wanted(np.tile(start, (STEPS + 1, 1)), np.full((STEPS, 2), 1e4), np.diag([9.0, 9, 1, 1, 1e-4, 1e-4]))
     plain, model, span = Plain(), Model(LEG, LAG), np.full(STEPS, DT)
-    engines = {name: make_rollouts([model], SAMPLES, STEPS, DT, name) for name in ("mujoco", "reduced")}
+    engines = {name: make_rollouts([model], SAMPLES, STEPS, DT, name) for name in ("mujoco", "exact")}
     ways: dict[str, Any] = {
         name: (
             lambda roll=roll: costs(WEIGHTS, span, plain.angles, wanted, roll(start, disturbance, inputs)[0], inputs)
@@ -162,9 +163,7 @@ def plans_alone() -> dict[str, Any]:
         p50 = float(np.median(times))
         ratios = {engine: p50 / float(np.median(spent[engine])) for engine in engines}
         record[name] = {"p50_s": p50, **{f"over_{engine}": ratio for engine, ratio in ratios.items()}}
-        print(
-            f"  {name:34s} {1e3 * p50:7.2f} ms   {ratios['mujoco']:5.1f} x mujoco  {ratios['reduced']:5.1f} x reduced"
-        )
+        print(f"  {name:34s} {1e3 * p50:7.2f} ms   {ratios['mujoco']:5.1f} x mujoco  {ratios['exact']:5.1f} x exact")
     return record
 
 
@@ -173,7 +172,7 @@ def triangle(reference: Reference, seconds: float) -> dict[str, Any]:
     record: dict[str, Any] = {}
     print("triangle, lag known, 2 mrad of noise: RMSE of the true angles")
     for method in METHODS:
-        for engine in ("mujoco", "reduced"):
+        for engine in ("mujoco", "exact"):
             plant = MujocoPlant(Model(LEG, LAG), noise=2e-3)
             own = SamplingController(SamplingSettings(method=method, engine=engine))
             done = run(plant, own, reference, max(seconds, 10.0), seed=0)

@@ -28,13 +28,13 @@ def main() -> None:
         "--noise", type=float, default=1e-3, help="of measured positions, standard deviation [rad or m]"
     )
     parser.add_argument("--robot", choices=CASES, action="append", help="these alone")
-    parser.add_argument("--samples", type=int, default=eq.AnySamplingSettings().samples)
+    parser.add_argument("--samples", type=int, default=eq.SamplingSettings().samples)
     given = parser.parse_args()
     for name in given.robot or CASES:
         model, limit, times, steps = workflow.load_model(EXAMPLES / f"{name}.xml"), CASES[name], [], []
         begun = time.perf_counter()
         for seed in range(given.seeds):
-            controller = eq.SamplingController(eq.AnySamplingSettings(seed=seed, samples=given.samples))
+            controller = eq.SamplingController(eq.SamplingSettings(seed=seed, samples=given.samples))
             options = {"duration": str(limit + 1.0)}
             done = workflow.run_scenario(
                 "swing_up", controller, model=model, options=options, noise=given.noise, seed=seed

@@ -10,8 +10,8 @@ from .controllers.registry import (
     ControllerRequest as ControllerRequest,
     register_controller as register_controller,
 )
-from .controllers.sampling import SamplingController as SamplingController, SamplingSettings as SamplingSettings
-from .controllers.sampling_any import AnySamplingSettings as AnySamplingSettings
+from .controllers.sampling import SamplingController as SamplingController
+from .controllers.sampling_settings import SamplingSettings as SamplingSettings
 from .controllers.search_space import Range as Range, SearchSpace as SearchSpace
 from .effects import (
     AsymmetricLag as AsymmetricLag,

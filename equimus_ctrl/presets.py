@@ -97,6 +97,13 @@ def workspace() -> Path:
     return here if here is not None and (cwd == here or here in cwd.parents) else cwd
 
 
+def shown(path: Path) -> str:
+    """A path as people would write it from here: a preset by its kind and name, whichever folder it was found in."""
+    whole = path.resolve()
+    inside = [whole.relative_to(root) for root in (own.resolve() for own in roots()) if whole.is_relative_to(root)]
+    return min((own.as_posix() for own in inside), key=len, default=str(path))
+
+
 def find(kind: str, file: str) -> Path | None:
     """The first file of that name under ``kind`` in the folders searched."""
     return next((path for root in roots() if (path := root / kind / file).is_file()), None)
@@ -258,8 +265,8 @@ def load_scenario(name: str, others: Iterable[str] = ()) -> tuple[Callable[..., 
     module = load_script(path)
     build = getattr(module, "build", None)
     if not callable(build):
-        raise ConfigError(f"{path}: has no function build(context, …) that returns a Scenario")
-    return build, str(path)
+        raise ConfigError(f"{shown(path)}: has no function build(context, …) that returns a Scenario")
+    return build, shown(path)
 
 
 def load_object(text: str) -> Any:

@@ -80,6 +80,24 @@ def test_a_pose_is_given_by_joints_as_people_read_them_and_by_keyframe() -> None
     assert "option shoulder is 'up'" in refusal(lambda: pose(shoulder="up"))
 
 
+def test_a_keyframe_out_of_a_joints_range_is_told_with_what_is_nearest() -> None:
+    keys = '<keyframe><key name="far" qpos="2.5 0.02"/><key name="near" qpos="0.3 0.02"/></keyframe></mujoco>'
+    robot = MjcfRobot(
+        "keyed",
+        RIG.xml.replace("</mujoco>", keys).replace('damping="0.3"', 'damping="0.3" range="-1 1" limited="true"'),
+    )
+    low, high = np.degrees([side[0] for side in robot.joint_range])
+    said = (
+        f"keyed: keyframe 'far' has shoulder at 143.2°, outside the joint's range of {low:.1f}° to {high:.1f}°; "
+        f"the nearest that can be reached is {high:.1f}°"
+    )
+    for name in ("hold", "step", "track", "multisine"):
+        assert said in refusal(lambda name=name: workflow.load_scenario(name, robot, search=False))
+    for options in ({"keyframe": "near"}, {"shoulder": "20"}):
+        found = workflow.load_scenario("hold", robot, options=options, search=False)
+        assert np.degrees(found.reference.position(0.0)[0]) < high
+
+
 def test_the_legs_pose_is_its_own_keyframe() -> None:
     found = workflow.load_scenario("hold", nominal_leg(), search=False)
     assert found.reference.position(0.0).tolist() == [np.pi / 2, 0.0]

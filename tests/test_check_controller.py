@@ -12,7 +12,8 @@ from equimus_ctrl import presets
 from equimus_ctrl.controllers.lqr import LqrController
 from equimus_ctrl.controllers.nmpc import NmpcController, NmpcSettings
 from equimus_ctrl.controllers.open_loop import OpenLoopController
-from equimus_ctrl.controllers.sampling import SamplingController, SamplingSettings
+from equimus_ctrl.controllers.sampling import SamplingController
+from equimus_ctrl.controllers.sampling_settings import SamplingSettings
 from equimus_ctrl.errors import ConfigError, ControllerError
 from equimus_ctrl.types import Observation, PlantSpec, Reference
 

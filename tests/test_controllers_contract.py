@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import re
 from typing import Any
 
 import numpy as np
 import pytest
+from mjcf_models import pendulum
 
 import equimus_ctrl as eq
 from equimus_ctrl import presets, workflow
 from equimus_ctrl.controllers.registry import CONTROLLERS, make_controller
+from equimus_ctrl.robots.mjcf.robot import MjcfRobot
 from equimus_ctrl.scenarios.scenario import CommandProfile
 
 EXAMPLE = presets.find("controllers", "example_custom.py")
@@ -153,6 +156,34 @@ def test_the_lqr_needs_no_settings_and_holds_a_pose_of_a_leg_it_does_not_know() 
     run = drive(plant, make_controller("lqr"), held)
     assert np.abs(run.position[-60:] - [1.4, 0.5]).max() < 5e-3
     assert eq.LqrSettings.from_dict(presets_table("lqr.toml")) == eq.LqrSettings()
+
+
+@pytest.mark.parametrize(("name", "own", "table", "sentence"), [
+    ("lqr", "arm", {"rate": 0.5, "observer": {"torque": 1e-3}},
+     "rate, observer.torque are for commands that are pressures, and would change nothing of arm; what can be set there "
+     "is angle, bandwidth, integral, disturbance, estimate_valves, spacing, start_time, observer.noise, "
+     "observer.patience"),
+    ("nmpc", "arm", {"pressure_rate": 1e5}, "pressure_rate is for commands that are pressures"),
+    ("lqr", "leg", {"bandwidth": 2.0}, "bandwidth is for commands that are no pressures"),
+])  # fmt: skip
+def test_a_setting_that_would_change_nothing_is_refused(
+    name: str, own: str, table: dict[str, object], sentence: str
+) -> None:
+    robot = MjcfRobot("arm", pendulum()) if own == "arm" else eq.nominal_leg()
+    with pytest.raises(eq.ConfigError) as caught:
+        make_controller(name, table, where="own.toml", robot=robot, chosen=True)
+    assert str(caught.value).startswith(f"own.toml: {name}: {sentence}")
+    # Of a file that all robots share it is left aside, and said; what has an effect stays.
+    shared: Any = make_controller(name, {**table, "angle": 0.02}, where="lqr.toml", robot=robot)
+    plant = eq.MujocoPlant(eq.Model(robot))
+    names = re.split(" is for| are for", sentence)[0]
+    assert shared.init(plant.spec, plant.reset(seed=0)).note.startswith(f"lqr.toml: {names} left aside, for ")
+    kind = type(shared.settings)
+    assert shared.settings == kind(angle=0.02)
+    # And a program is told when the robot is known.
+    given = type(shared)(kind.from_dict(table))
+    with pytest.raises(eq.ConfigError, match=f"^{name}: {names} "):
+        given.init(plant.spec, plant.reset(seed=0))
 
 
 def presets_table(name: str) -> dict[str, object]:

@@ -220,6 +220,16 @@ def test_a_scenario_is_a_script_with_build(places: dict[str, Path]) -> None:
         presets.load_scenario("hop")
 
 
+def test_a_preset_is_told_by_its_name_and_a_file_of_ones_own_by_its_path(
+    places: dict[str, Path], tmp_path: Path
+) -> None:
+    for place, said in ((places["package"], "tuning/pid.toml"), (places["cwd"], "mine/pid.toml")):
+        (place / said).parent.mkdir(exist_ok=True)
+        assert presets.shown(place / said) == said
+    assert presets.shown(places["checkout"] / "scenarios" / "hop.py") == "scenarios/hop.py"
+    assert presets.shown(tmp_path / "elsewhere.py") == str(tmp_path / "elsewhere.py")
+
+
 def test_objects_are_named_by_file_and_name(tmp_path: Path) -> None:
     path = tmp_path / "mine.py"
     path.write_text("class Mine: ...\n_hidden = 1\n")

@@ -14,7 +14,7 @@ from equimus_ctrl.models.kinematics import Kinematics
 from equimus_ctrl.models.mjcf import SolverSettings
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.predictive.costs import Wanted, Weights, costs
-from equimus_ctrl.predictive.rollouts import MujocoRollouts, ReducedRollouts, make_rollouts, members_of
+from equimus_ctrl.predictive.rollouts import ExactRollouts, MujocoRollouts, make_rollouts, members_of
 from equimus_ctrl.predictive.splines import Spline
 from equimus_ctrl.robots.elastic.leg import nominal_leg
 from equimus_ctrl.types import Array
@@ -53,11 +53,9 @@ def test_pressures_are_those_of_the_plants_valves(effects: tuple[Effect, ...]) -
 def test_both_engines_follow_the_exact_motion() -> None:
     """The exact reduced model at a twelfth of the step, an unknown torque on its joints."""
     model, inputs = Model(LEG, LAG), plans()
-    truth = ReducedRollouts([model], 6, 12 * STEPS, DT / 12, False)(START, DISTURBANCE, np.repeat(inputs, 12, axis=1))[
-        0
-    ]
+    truth = ExactRollouts([model], 6, 12 * STEPS, DT / 12, False)(START, DISTURBANCE, np.repeat(inputs, 12, axis=1))[0]
     truth = truth[:, ::12]
-    reduced = ReducedRollouts([model], 6, STEPS, DT, False)(START, DISTURBANCE, inputs)[0]
+    reduced = ExactRollouts([model], 6, STEPS, DT, False)(START, DISTURBANCE, inputs)[0]
     found = MujocoRollouts([model], 6, STEPS, DT)(START, DISTURBANCE, inputs)[0]
     moved = np.abs(truth[:, -1, :2] - START[:2]).mean(axis=0)
     assert np.all(moved > 0.05)
@@ -92,7 +90,7 @@ def test_models_of_an_ensemble_are_each_its_own() -> None:
         assert all(abs(value - 1) <= 0.2 + 1e-12 for value in strays.values())
         assert sum(abs(value - 1) > 1e-3 for value in strays.values()) >= 8
     inputs = plans()
-    for engine in ("mujoco", "reduced"):
+    for engine in ("mujoco", "exact"):
         together = make_rollouts(models, 6, STEPS, DT, engine, False)(START, DISTURBANCE, inputs)
         assert together.shape[:3] == (3, 6, STEPS + 1)
         for one, states in zip(models, together, strict=True):
@@ -103,12 +101,12 @@ def test_models_of_an_ensemble_are_each_its_own() -> None:
 def test_force_effects_are_the_reduced_models() -> None:
     model = Model(LEG, CREEP)
     assert isinstance(make_rollouts([Model(LEG, LAG)], 4, 5, DT), MujocoRollouts)
-    assert isinstance(make_rollouts([model], 4, 5, DT, compiled=False), ReducedRollouts)
+    assert isinstance(make_rollouts([model], 4, 5, DT, compiled=False), ExactRollouts)
     with pytest.raises(ConfigError, match="engine is 'mujoco', which does not simulate"):
         make_rollouts([model], 4, 5, DT, "mujoco")
 
 
-@pytest.mark.parametrize("engine", ["mujoco", "reduced"])
+@pytest.mark.parametrize("engine", ["mujoco", "exact"])
 def test_long_steps_are_divided(engine: str) -> None:
     models, inputs = [Model(LEG, LAG)], plans()[:, ::8]
     fine = make_rollouts(models, 6, STEPS, DT, engine, False)(START, DISTURBANCE, np.repeat(inputs, 8, axis=1))[0]

@@ -13,7 +13,8 @@ import pytest
 
 from equimus_ctrl.controllers.horizon import FALLBACKS
 from equimus_ctrl.controllers.registry import make_controller
-from equimus_ctrl.controllers.sampling import FORMAT, SamplingController, SamplingSettings, SamplingState
+from equimus_ctrl.controllers.sampling import SamplingController, SamplingState
+from equimus_ctrl.controllers.sampling_settings import FORMAT, SamplingSettings
 from equimus_ctrl.effects import Effect, make
 from equimus_ctrl.errors import ConfigError, ControllerError
 from equimus_ctrl.models.inverse import holding_pressure
@@ -33,7 +34,7 @@ CREEP = (make("creep", "maa", {"stiffness": 500.0, "time_constant": 0.5}),)
 KNOWN: dict[str, tuple[Effect, ...]] = {
     "nothing": (), "lags": LAG, "late": (*LAG, *DELAYS), "creeps": (*LAG, *CREEP),
 }  # fmt: skip
-QUICK = {"engine": "reduced"}
+QUICK = {"engine": "exact"}
 """Without MuJoCo a run takes a third of the time where there is a C compiler."""
 SPREAD = Spread(30.0, 3000.0, 0.1, 0.1)
 
@@ -107,7 +108,7 @@ def test_wrong_numbers_leave_no_offset() -> None:
 @pytest.mark.slow
 def test_more_plans_cost_less() -> None:
     found = []
-    for samples in (3, 256):
+    for samples in (4, 256):
         own = controller(method="predictive_sampling", samples=samples)
         observation, state = begun(own)
         costs = []
@@ -315,20 +316,20 @@ def test_methods_find_the_bottom_of_a_bowl(name: str) -> None:
     ("given", "message"),
     [
         ({"method": "mpi"}, "there is no method 'mpi'; did you mean 'mppi'?"),
-        ({"engine": "gpu"}, "engine is 'gpu', expected one of auto, mujoco, reduced"),
+        ({"engine": "gpu"}, "engine is 'gpu', expected one of auto, exact, mujoco"),
         ({"spline": "quintic"}, "there is no spline 'quintic'"),
         ({"knots": 2, "spline": "cubic"}, "knots is 2, expected at least 4 for a cubic spline"),
-        ({"knots": 41}, "knots is 41, expected 1 to 40"),
-        ({"samples": 1}, "samples is 1, expected 2 to 100000"),
-        ({"deviation": 10.0}, "deviation is 10, expected at least 30"),
-        ({"least_deviation": 0.0}, "least_deviation is 0, expected more than 0"),
+        ({"knots": -1}, "knots is -1, expected 0 to 1000"),
+        ({"samples": 1}, "samples is 1, expected 4 to 100000, or 0 for what is usual"),
+        ({"deviation": 0.1, "least_deviation": 0.2}, "deviation is 0.1, expected at least 0.2"),
+        ({"least_deviation": -0.1}, "least_deviation is -0.1, expected at least 0"),
         ({"risk": 1.5}, "risk is 1.5, expected at most 1"),
         ({"spread": 1.0}, "spread is 1, expected at most 0.95"),
         ({"temperature": float("nan")}, "temperature is nan, expected more than 0"),
         ({"seed": -1}, "seed is -1, expected 0 to"),
         ({"angle": 0.0}, "angle is 0, expected more than 0"),
         ({"sampels": 3}, "own.toml: there is no key 'sampels'"),
-        ({"format": "equimus-ctrl/nmpc/1"}, "format is 'equimus-ctrl/nmpc/1', expected 'equimus-ctrl/sampling/1'"),
+        ({"format": "equimus-ctrl/nmpc/1"}, "format is 'equimus-ctrl/nmpc/1', expected 'equimus-ctrl/sampling/2'"),
     ],
 )
 def test_settings_that_make_no_sense(given: dict[str, object], message: str) -> None:

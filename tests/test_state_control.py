@@ -11,6 +11,7 @@ from scipy.linalg import expm
 
 from equimus_ctrl import workflow
 from equimus_ctrl.controllers.allowances import Loop, allowances
+from equimus_ctrl.controllers.catching import CAUGHT, Falls
 from equimus_ctrl.controllers.inverse import Inverse
 from equimus_ctrl.controllers.lqr import LqrController, LqrSettings, Schedule, _nearest_corners, regulator
 from equimus_ctrl.controllers.nmpc import NmpcController, NmpcSettings
@@ -23,12 +24,15 @@ from equimus_ctrl.models.dynamics import Dynamics
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.models.prediction import prediction, steps_in
 from equimus_ctrl.plants.mujoco_plant import MujocoPlant, PlantRates
+from equimus_ctrl.robots.base import Robot
 from equimus_ctrl.robots.mjcf.robot import MjcfRobot
 from equimus_ctrl.scenarios.references import FunctionReference, HoldReference
 from equimus_ctrl.simulate import run
 from equimus_ctrl.types import Array, Controller, Run, Start
 
 PENDULUM = workflow.load_model(Path(__file__).parents[1] / "docs" / "examples" / "pendulum.xml").robot
+CARTPOLE = workflow.load_model(Path(__file__).parents[1] / "docs" / "examples" / "cartpole.xml")
+FINGER = workflow.load_model(Path(__file__).parents[1] / "docs" / "examples" / "finger.toml")
 ARM = MjcfRobot(
     "two_joints",
     """<mujoco model="two_joints"><compiler angle="radian"/><option timestep="0.002"/><worldbody>
@@ -303,6 +307,33 @@ def test_a_plan_catches_a_pole_that_the_regulator_lets_fall() -> None:
     assert np.abs(done.position[:, 0]).max() < 1.01 and np.abs(done.asked).max() <= 20.0
 
 
+def test_what_falls_is_caught_from_a_share_of_where_limits_let_anything_catch_it() -> None:
+    """Of θ̈ = 4 θ + 2 u with |u| ≤ 3 a departure at rest grows whatever is done beyond 2·3/4."""
+    a, b = np.array([[0.0, 1.0], [4.0, 0.0]]), np.array([[0.0], [2.0]])
+    reach = np.array([[-3.0], [3.0]])
+    found = Falls.of(a, b, 1, np.array([10.0]), reach)
+    assert found is not None
+    np.testing.assert_allclose(found.first, [[1.5 * CAUGHT, -1.5 * CAUGHT], [0.0, 0.0]])
+    near = Falls.of(a, b, 1, np.array([0.3]), reach)
+    assert near is not None and near.first[0, 0] == pytest.approx(0.3 * CAUGHT)
+    assert Falls.of(np.array([[0.0, 1.0], [-4.0, 0.0]]), b, 1, np.array([10.0]), reach) is None, "nothing falls"
+    assert Falls.of(a, b, 1, np.array([10.0]), np.inf * reach) is None, "nothing limits it"
+
+
+def test_limits_make_a_regulator_of_what_falls_slower_so_that_it_catches_it() -> None:
+    """Where a pole on a cart begins a third of the way to where 10 N are too little, and a fixed bandwidth lets it fall."""
+    plant = MujocoPlant(CARTPOLE, noise=1e-3)
+    quick, own = (allowances(plant.spec, LqrSettings(), np.zeros(2), bounded) for bounded in (False, True))
+    assert own.catches and 0.4 * quick.bandwidth < own.bandwidth < 0.7 * quick.bandwidth
+    # A pole that leans by more than a/g cannot be caught by a cart that accelerates by a, and 10 N push 1.1 kg.
+    start = Start(position=np.array([0.0, CAUGHT * 10 / (1.1 * 9.81)]))
+    for settings, caught in ((LqrSettings(), True), (LqrSettings(bandwidth=quick.bandwidth / (2 * np.pi)), False)):
+        done = run(plant, LqrController(settings), HoldReference([0.0, 0.0]), 5.0, start=start, seed=1)
+        assert done.truth is not None
+        assert bool(np.abs(done.truth[-50:]).max() < 0.02) == caught
+        assert ("limits of commands let it catch less" in done.note) == (not caught)
+
+
 @pytest.mark.parametrize("robot", [RIG, SERVO], ids=lambda robot: robot.name)
 def test_where_nothing_is_in_the_way_the_plan_is_the_regulators(robot: MjcfRobot) -> None:
     asked = []
@@ -361,6 +392,15 @@ def test_a_step_is_toned_down_when_any_actuator_is_fed_its_motion() -> None:
         moved += int(beyond.any())
         assert not beyond.any() or np.abs(own.feed).max() < 0.7 * np.abs(target.feed).max()
     assert moved > 5
+
+
+@pytest.mark.parametrize("robot", [FINGER.robot, ARM], ids=lambda robot: robot.name)
+def test_of_a_step_as_much_is_fed_forward_as_can_be_braked(robot: Robot) -> None:
+    """What the ends of commands cut off of braking alone would be left over as speed."""
+    for controller in (LqrController(), nmpc()):
+        done = workflow.run_scenario("step", controller, model=Model(robot), options={"duration": "2"})
+        assert done.score.step is not None
+        assert np.nanmax(done.score.step.overshoot) < 0.05 and np.abs(done.score.step.offset).max() < 2e-3
 
 
 def test_commands_stay_within_limits_and_nothing_winds_up() -> None:

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from mjcf_models import pendulum
 
 from equimus_ctrl.controllers.lqr import LqrController, LqrSettings
 from equimus_ctrl.controllers.nmpc import NmpcController, NmpcSettings
@@ -17,6 +18,7 @@ from equimus_ctrl.models.model import Model
 from equimus_ctrl.models.solved import valves_of
 from equimus_ctrl.plants.mujoco_plant import MujocoPlant
 from equimus_ctrl.robots.elastic.leg import nominal_leg
+from equimus_ctrl.robots.mjcf.robot import MjcfRobot
 from equimus_ctrl.scenarios.references import FunctionReference
 from equimus_ctrl.simulate import run
 from equimus_ctrl.types import Array, Observation, Run
@@ -168,3 +170,19 @@ def test_where_nothing_is_late_the_commands_are_those_without_a_bank() -> None:
         ]
         np.testing.assert_array_equal(runs[0].command, runs[1].command)
         assert runs[0].note == ""
+
+
+def test_a_servos_late_goals_are_found_and_where_they_are_not_late_nothing_is() -> None:
+    drive = '<position name="goal" joint="pivot" kp="300" kv="3"/>'
+    servo = MjcfRobot("servo", pendulum('damping="0.6" frictionloss="0.05"', drive=drive))
+
+    def driven(late: float, find: bool) -> Run:
+        effects = (make("transport_delay", "goal", {"delay": late}),) if late else ()
+        plant = MujocoPlant(Model(servo, effects), nominal=Model(servo), noise=2e-3)
+        swing = FunctionReference(lambda time: np.array([0.5 * np.sin(2.5 * time)]))
+        return run(plant, LqrController(LqrSettings(estimate_valves=find)), swing, 4.0, seed=1)
+
+    found, blind = driven(0.02, True), driven(0.02, False)
+    assert "drives were found to be later than is known: goal by 0.0" in found.note and "found" not in blind.note
+    assert rmse(found, 2.0)[0] < 0.5 * rmse(blind, 2.0)[0]
+    np.testing.assert_array_equal(driven(0.0, True).command, driven(0.0, False).command)

@@ -10,7 +10,8 @@ so that a joint that an actuator of its own drives gets the poles s² + 2 ζ ω 
 where joints outnumber actuators, α says which of them matters. ω begins at a share of what dead times, late sensors
 and the control period allow; lags are states that the regulator knows. It is lowered until the sampled loop, observer
 and unknown torques included, is stable in every pose looked at: as it is, with gains raised, and with what usually
-stands between commands and forces unknown, when it also has to die away where the robot begins.
+stands between commands and forces unknown, when it also has to die away where the robot begins. Where commands are cut
+off, a robot that falls has to be brought back from a share of where that can be done at all (``controllers.catching``).
 """
 
 from __future__ import annotations
@@ -23,6 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import expm, solve_discrete_are
 
+from equimus_ctrl.controllers.catching import CAUGHT, Falls
 from equimus_ctrl.controllers.placement import DAMPING, DECAYS, GROWS, PHASE, RAISED, SLOWEST, THIRD, looked_at
 from equimus_ctrl.effects.command import DELAY
 from equimus_ctrl.effects.sensors import SENSOR_DELAY, sensor_settings
@@ -33,13 +35,20 @@ from equimus_ctrl.models.dynamics import LOST, Dynamics, Linear
 from equimus_ctrl.models.linear import valve_lag, with_valves
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.models.solved import known_lateness, valves_of
+from equimus_ctrl.robots.base import Robot
 from equimus_ctrl.robots.reading import reading
+from equimus_ctrl.settings import OTHERS, PRESSURES
 from equimus_ctrl.types import Array, PlantSpec
 
 FINER = 2**0.25
 """By so much ω is made smaller each time."""
 WHOLE = {"rad": np.pi, "m": 1.0}
 """Longest half range that counts: half a turn, 1 m."""
+
+
+def settable(robot: Robot) -> tuple[str, ...]:
+    """What settings may be for of a regulator that drives a robot, see ``settings.setting``."""
+    return (PRESSURES,) if robot.traits.commands_are_pressures else (OTHERS,)
 
 
 class Settings(Protocol):
@@ -70,6 +79,7 @@ class Allowances:
         late: ω was found stable with what usually stands between commands and forces unknown.
         everywhere: and in all poses looked at, else only where the robot begins.
         dies: what is off dies away about as fast as ω says, all that is slow in the robot included.
+        catches: within the limits of commands it brings back what is to be caught, see ``controllers.catching``.
         is_set: somebody set ω.
         usual: (na,) efforts where the robot begins; ``effort`` by default.
         driven: (nj,) joints on which an actuator acts; all by default. Where some have none, a first pose that fades
@@ -84,6 +94,7 @@ class Allowances:
     late: bool = True
     everywhere: bool = True
     dies: bool = True
+    catches: bool = True
     is_set: bool = False
     usual: Array = field(default_factory=lambda: np.empty(0))
     driven: NDArray[np.bool_] = field(default_factory=lambda: np.empty(0, dtype=bool))
@@ -115,19 +126,25 @@ class Allowances:
         slow = "" if self.late else ", and not where commands are later than is known"
         by = " that was set" if self.is_set else ""
         dies = "" if self.dies else ", though what is off may take longer to die away"
+        short = (
+            ""
+            if self.catches
+            else (f"; the limits of commands let it catch less than {CAUGHT:.0%} of what could be caught within them")
+        )
         return (
             "weights and observer follow from the masses and ranges for a bandwidth of "
-            f"{self.bandwidth / (2 * np.pi):.2g} Hz{by}{only}{slow}{dies}"
+            f"{self.bandwidth / (2 * np.pi):.2g} Hz{by}{only}{slow}{dies}{short}"
         )
 
 
-def allowances(spec: PlantSpec, settings: Settings, pose: Array) -> Allowances:
+def allowances(spec: PlantSpec, settings: Settings, pose: Array, bounded: bool = False) -> Allowances:
     """Of a robot.
 
     Args:
         spec: of its plant, with a model.
         settings: of the regulator.
         pose: (nj,) where it begins [rad or m].
+        bounded: whether commands are cut off at their limits, and nothing else heeds them, so that ω has to.
 
     Raises:
         ControllerError: where no regulator keeps it where it is, or no equations hold it.
@@ -139,14 +156,19 @@ def allowances(spec: PlantSpec, settings: Settings, pose: Array) -> Allowances:
         dynamics = Dynamics(model)
     except NotAvailable as error:
         raise ControllerError(str(error)) from None
-    return _followed(spec, s, pose, dynamics)
+    return _followed(spec, s, pose, dynamics, bounded)
 
 
-def _followed(spec: PlantSpec, settings: Settings, pose: Array, dynamics: Dynamics) -> Allowances:
+def _followed(spec: PlantSpec, settings: Settings, pose: Array, dynamics: Dynamics, bounded: bool) -> Allowances:
     dt, model = spec.control_dt, dynamics.model
     still, driven = looked_at(dynamics, spec, pose)
-    angle = settings.angle * _half_ranges(spec)
+    half = _half_ranges(spec)
+    angle = settings.angle * half
     loops = [Loop(linear, dynamics, model, dt) for _, linear in still]
+    falls: Falls | None = None
+    if bounded and not driven.all():
+        reach = np.array([dynamics.low, dynamics.high]) - dynamics.holding(pose)[0]
+        falls = Falls.of(*loops[0].rates, len(pose), half, reach)
     fastest = PHASE / (1.5 * dt + known_lateness(model, lags=False))
     tried = 2 * np.pi * settings.bandwidth or fastest
 
@@ -155,15 +177,20 @@ def _followed(spec: PlantSpec, settings: Settings, pose: Array, dynamics: Dynami
         return replace(own, driven=driven)
 
     if settings.bandwidth:
-        return _judged(of(tried), loops, dynamics)
+        return _judged(of(tried), loops, dynamics, falls)
     kept: Allowances | None = None
     slow: Allowances | None = None
     risky: Allowances | None = None
+    narrow: Allowances | None = None
     while tried >= SLOWEST:
         own = of(tried)
         dies = np.exp(-DECAYS * THIRD * tried * dt) if driven.all() else 1 + GROWS
         first, *others = loops
-        if first.stands(own, dies):
+        if first.stands(own, dies) and not first.catches(own, falls):
+            narrow = narrow or replace(
+                own, catches=False, everywhere=all(loop.stands(own, 1 + GROWS) for loop in others)
+            )
+        elif first.stands(own, dies):
             if all(loop.stands(own, 1 + GROWS) for loop in others):
                 return own
             kept = kept or replace(own, everywhere=False)
@@ -173,7 +200,7 @@ def _followed(spec: PlantSpec, settings: Settings, pose: Array, dynamics: Dynami
         elif risky is None and first.growth(own, 0, 1.0) <= 1 + GROWS:
             risky = replace(own, late=False, everywhere=False)
         tried /= FINER
-    found = kept or slow or risky
+    found = kept or slow or narrow or risky
     if found is not None:
         return found
     joint = int(np.argmax(~driven)) if not driven.all() else 0
@@ -189,7 +216,7 @@ def _followed(spec: PlantSpec, settings: Settings, pose: Array, dynamics: Dynami
     )
 
 
-def _judged(own: Allowances, loops: Sequence[Loop], dynamics: Dynamics) -> Allowances:
+def _judged(own: Allowances, loops: Sequence[Loop], dynamics: Dynamics, falls: Falls | None) -> Allowances:
     """Those of an ω that somebody set, with what holds of it.
 
     Raises:
@@ -203,7 +230,7 @@ def _judged(own: Allowances, loops: Sequence[Loop], dynamics: Dynamics) -> Allow
         )
     late = first.stands(own, 1 + GROWS)
     everywhere = late and all(loop.stands(own, 1 + GROWS) for loop in others)
-    return replace(own, late=late, everywhere=everywhere, is_set=True)
+    return replace(own, late=late, everywhere=everywhere, catches=first.catches(own, falls), is_set=True)
 
 
 def _half_ranges(spec: PlantSpec) -> Array:
@@ -236,6 +263,7 @@ class Loop:
 
     Attributes:
         unknown: periods by which commands usually are later than is known.
+        rates: A (n, n) and B (n, na) of d/dt x, x having what lags behind drives beside angles and velocities.
     """
 
     def __init__(self, linear: Linear, dynamics: Dynamics, model: Model, dt: float) -> None:
@@ -247,6 +275,7 @@ class Loop:
         whole = np.zeros((n + na + nj, n + na + nj))
         whole[:n] = np.hstack([a, b, pushed])
         stepped = expm(whole * dt)
+        self.rates = a, b
         self._a, self._b, self._pushed = stepped[:n, :n], stepped[:n, n : n + na], stepped[:n, n + na :]
         self._f = np.block([[self._a, self._pushed], [np.zeros((nj, n)), np.eye(nj)]])
         self._counter = np.column_stack([dynamics.answer(linear.drive, column) for column in np.eye(nj)])
@@ -274,6 +303,45 @@ class Loop:
         found = self._gains(own)
         return np.inf if found is None else self._growth(found, unknown, factor)
 
+    def catches(self, own: Allowances, falls: Falls | None) -> bool:
+        """Whether it brings back what is to be caught within the limits of commands, also where these are later."""
+        found = self._gains(own)
+        if falls is None or found is None:
+            return falls is None
+        return all(falls.caught(self, found, own.bandwidth, self._dt, late) for late in {0, self.unknown})
+
+    def run(self, gains: tuple[Array, Array], first: Array, reach: Array, steps: int, unknown: int) -> Array:
+        """(steps, n, k) states from (n, k) on, commands cut off at (2, na), so many periods later than is known."""
+        nj, a, b, f = self._nj, self._a, self._b, self._f
+        (n, na), count = b.shape, first.shape[1]
+        low, high = reach[0][:, None], reach[1][:, None]
+        fed = np.vstack([b, np.zeros((nj, na))])
+        x, mean = first.copy(), np.vstack([first, np.zeros((nj, count))])
+        line = [np.zeros((na, count))] * (self._known + self._seen + unknown)
+        past = [first[:nj]] * self._seen
+        found = np.empty((steps, n, count))
+        with np.errstate(over="ignore", invalid="ignore"):  # what falls grows without end
+            for k in range(steps):
+                y = past[-1] if past else x[:nj]
+                mean = mean + gains[1] @ (y - mean[:nj])
+                line = [np.clip(self._asked(gains[0], mean, line), low, high), *line]
+                x, past = a @ x + b @ line[self._known + unknown], [x[:nj], *past][: self._seen]
+                mean, line = f @ mean + fed @ line[self._known + self._seen], line[:-1]
+                found[k] = x
+        return found
+
+    def _asked(self, gain: Array, mean: Array, line: Sequence[Array]) -> Array:
+        """(na, k) what is asked for under estimates (n + nj, k), the latest commands first."""
+        nj, (n, na) = self._nj, self._b.shape
+        fed = np.vstack([self._b, np.zeros((nj, na))])
+        ahead = mean
+        for k in range(-self._seen, self._known):
+            ahead = self._f @ ahead + fed @ line[self._known - k - 1]
+        against = -self._counter @ ahead[n:]
+        state = ahead[:n].copy()
+        state[2 * nj :] -= against[self._slow]
+        return np.asarray(against - gain @ state)
+
     def _gains(self, own: Allowances) -> tuple[Array, Array] | None:
         """Of the regulator (na, n) and of the observer (n + nj, nj); None where there are none."""
         nj, dt, a, b = self._nj, self._dt, self._a, self._b
@@ -299,14 +367,7 @@ class Loop:
         line, past = np.split(commands, held) if held else [], np.split(angles, seen) if seen else []
         y = past[-1] if seen else x[:nj]
         mean = mean + found @ (y - mean[:nj])
-        ahead = mean
-        for k in range(-seen, known):
-            ahead = f @ ahead + fed @ line[known - k - 1]
-        against = -self._counter @ ahead[n:]
-        state = ahead[:n].copy()
-        state[2 * nj :] -= against[self._slow]
-        asked = against - gain @ state
-        line = [asked, *line]
+        line = [self._asked(gain, mean, line), *line]
         later = [*([x[:nj]] if seen else []), *past][:seen]
         after = [a @ x + b @ line[known + unknown], f @ mean + fed @ line[known + seen], *line[:held], *later]
         return float(np.abs(np.linalg.eigvals(np.vstack(after))).max())

@@ -27,6 +27,7 @@ from equimus_ctrl.models.linear import valve_lag
 from equimus_ctrl.models.prediction import Prediction, prediction
 from equimus_ctrl.models.solved import valves_of
 from equimus_ctrl.predictive.costs import Wanted, Weights
+from equimus_ctrl.settings import OTHERS, PRESSURES, setting
 from equimus_ctrl.types import Array, Observation, PlantSpec, Reference, frozen_array
 
 Status = Literal["converged", "iterated", "sampled", "shifted", "lqr", "hold"]
@@ -63,12 +64,12 @@ class HorizonSettings:
     """
 
     angle: float = 0.03
-    rate: float = 1.0
-    pressure: float = 1e3
-    bandwidth: float = 0.0
+    rate: float = setting(1.0, PRESSURES)
+    pressure: float = setting(1e3, PRESSURES)
+    bandwidth: float = setting(0.0, OTHERS)
     limit: float = 0.003
     margin: float = 0.0
-    pressure_rate: float = 0.0
+    pressure_rate: float = setting(0.0, PRESSURES)
     deadline: float = 0.0
     disturbance: bool = True
     spacing: float = 0.2
@@ -226,7 +227,7 @@ class Horizon:
         require_model(spec)
         begins = spec.model.home if pose is None else pose
         allowed = allowances(spec, settings, np.zeros(len(spec.joints)) if begins is None else begins)
-        bank = bank_of(spec, allowed, banked)
+        bank = bank_of(spec, banked)
         self.observer = Observer.of(spec, settings.observer, settings.compiled, allowed.beliefs, bank)
         model = self.observer.model
         self._waiting = waiting(model, self.dt)

@@ -176,14 +176,16 @@ class Inverse:
             now: whether they reach from ``SMOOTHING`` before now on.
         """
         spread = float(self._delays[-1]) - (0.0 if now else float(self._delays[0]))
-        if self._law.all_possible:
-            return (1.0,) * window(self._dt, spread)
         latest = time + float(self._delays[-1]) + SMOOTHING + self._dt / 2
         new = range(0 if before else math.ceil(spread / self._dt - 1e-9), -1, -1)
         instants = np.array([latest - k * self._dt for k in new])
         motion = (x.T for x in self.motion(reference, instants, state))
-        found = [self._law.possible(q, v, a) for q, v, a in zip(*motion, strict=True)]
+        found = [self.share(q, v, a) for q, v, a in zip(*motion, strict=True)]
         return (*before, *found)[-window(self._dt, spread) :]
+
+    def share(self, q: Array, v: Array, a: Array) -> float:
+        """Of a motion (nj,) each, beside what holds its pose, that can be done."""
+        return self._law.possible(q, v, a)
 
     def toned(self, target: Target, share: float, reference: Reference, time: float, state: InverseState) -> Target:
         """A target with a share of the motion that it has beside its pose; as it is where that is all of it.

@@ -21,7 +21,7 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from equimus_ctrl.controllers.allowances import Allowances, allowances
+from equimus_ctrl.controllers.allowances import Allowances, allowances, settable
 from equimus_ctrl.controllers.inverse import Inverse, InverseState, Target
 from equimus_ctrl.controllers.valve_estimation import ValveEstimation, bank_of
 from equimus_ctrl.effects.command import DELAY
@@ -31,7 +31,7 @@ from equimus_ctrl.estimation.valve_bank import ValveBank
 from equimus_ctrl.models.linear import About, linearise, matrices_about, valve_lag
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.models.solved import valves_of
-from equimus_ctrl.settings import FileSettings
+from equimus_ctrl.settings import OTHERS, PRESSURES, FileSettings, both, setting
 from equimus_ctrl.types import Array, Observation, PlantSpec, Reference, frozen_array
 
 FORMAT = "equimus-ctrl/lqr/1"
@@ -60,7 +60,7 @@ class LqrSettings(FileSettings):
             has arrived.
         disturbance: whether torques that the observer cannot explain are held against.
         estimate_valves: whether dead times and lags up to the usual ones are found that nobody told of, see
-            ``controllers.valve_estimation``; of robots whose commands are pressures.
+            ``controllers.valve_estimation``.
         spacing: of the grid of poses that gains are worked out at [rad].
         start_time: over which the first pose fades out of the reference, where every joint has an actuator [s].
         observer: covariances of the Kalman filter; by default unknown torques walk slowly. What compensates them is an
@@ -73,9 +73,9 @@ class LqrSettings(FileSettings):
     form: ClassVar[str] = FORMAT
 
     angle: float = 0.03
-    rate: float = 1.0
-    pressure: float = 1e3
-    bandwidth: float = 0.0
+    rate: float = setting(1.0, PRESSURES)
+    pressure: float = setting(1e3, PRESSURES)
+    bandwidth: float = setting(0.0, OTHERS)
     integral: float = 0.0
     disturbance: bool = True
     estimate_valves: bool = True
@@ -338,13 +338,14 @@ class LqrController:
     Args:
         settings: of it.
         in_time: whether gains are worked out before the first step, else as they are needed.
+        said: of its settings, for a person to read; stands before what it says itself.
     """
 
     name = "lqr"
 
-    def __init__(self, settings: LqrSettings | None = None, in_time: bool = True) -> None:
+    def __init__(self, settings: LqrSettings | None = None, in_time: bool = True, said: str = "") -> None:
         self.settings = settings or LqrSettings()
-        self._in_time = in_time
+        self._in_time, self._said = in_time, said
 
     def init(self, spec: PlantSpec, observation: Observation) -> LqrState:
         """A robot that has long been at rest.
@@ -352,10 +353,12 @@ class LqrController:
         Raises:
             ControllerError: where the plant offers no model, or one without equations, or no regulator keeps the robot
                 where it is.
+            ConfigError: where a setting changes nothing of the robot.
         """
         s, position = self.settings, np.array(observation.position)
         require_model(spec)
-        allowed = allowances(spec, s, position)
+        s.check_idle(settable(spec.model), self.name, spec.model.name)
+        allowed = allowances(spec, s, position, bounded=True)
 
         def made(own: PlantSpec, bank: ValveBank | None = None) -> LqrTools:
             observer = Observer.of(own, s.observer, beliefs=allowed.beliefs, bank=bank)
@@ -363,16 +366,17 @@ class LqrController:
             inverse = Inverse(model, dt, s.start_time if allowed.driven.all() else 0.0)
             return LqrTools(observer, inverse, Schedule(model, s, dt, allowed), dt)
 
-        bank = bank_of(spec, allowed, s.estimate_valves)
+        bank = bank_of(spec, s.estimate_valves)
         tools = made(spec, bank)
         if self._in_time:
             tools.schedule.prepare()
         begun = tools.observer.init(observation)
         followed, none = tools.inverse.start(observation.time, position), np.zeros(len(position))
-        estimation = None if bank is None else ValveEstimation(spec, tools, made)
+        note = both(self._said, allowed.note)
+        estimation = None if bank is None else ValveEstimation(spec, tools, made, note)
         return LqrState(
-            begun, followed, none, tools.nothing_under_way(), tools, note=allowed.note, estimation=estimation,
-            watched=None if bank is None else begun,
+            begun, followed, none, tools.nothing_under_way(), tools, note=note,
+            estimation=estimation, watched=None if bank is None else begun,
         )  # fmt: skip
 
     def step(self, observation: Observation, reference: Reference, state: LqrState) -> tuple[Array, LqrState]:

@@ -17,14 +17,15 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from equimus_ctrl.controllers.allowances import settable
 from equimus_ctrl.controllers.horizon import Horizon, HorizonSettings, HorizonState, Pace
 from equimus_ctrl.controllers.valve_estimation import ValveEstimation
 from equimus_ctrl.errors import ConfigError
-from equimus_ctrl.estimation.observer import Observer, ObserverState
+from equimus_ctrl.estimation.observer import Observer, ObserverState, require_model
 from equimus_ctrl.models.prediction import followed_rates, steps_in
 from equimus_ctrl.predictive.problem import Answer, Plan, Problem
 from equimus_ctrl.predictive.quadratic import SOLVERS
-from equimus_ctrl.settings import FileSettings
+from equimus_ctrl.settings import FileSettings, both
 from equimus_ctrl.types import Array, Observation, PlantSpec, Reference
 
 FORMAT = "equimus-ctrl/nmpc/1"
@@ -45,7 +46,7 @@ class NmpcSettings(HorizonSettings, FileSettings):
         tolerance: it has converged where no command changes by more, in allowances.
         velocity: soft bound of the joints' velocities, either way [rad/s or m/s]; 0 for none.
         estimate_valves: whether dead times and lags up to the usual ones are found that nobody told of, see
-            ``controllers.valve_estimation``; of robots whose commands are pressures.
+            ``controllers.valve_estimation``.
         solver: of quadratic programs.
 
     Raises:
@@ -131,13 +132,16 @@ class NmpcController:
     Args:
         settings: of it.
         now: a clock for the deadline [s].
+        said: of its settings, for a person to read; stands before what it says itself.
     """
 
     name = "nmpc"
 
-    def __init__(self, settings: NmpcSettings | None = None, now: Callable[[], float] = clock.perf_counter) -> None:
+    def __init__(
+        self, settings: NmpcSettings | None = None, now: Callable[[], float] = clock.perf_counter, said: str = ""
+    ) -> None:
         self.settings = settings or NmpcSettings()
-        self._now = now
+        self._now, self._said = now, said
 
     def init(self, spec: PlantSpec, observation: Observation) -> NmpcState:
         """A robot that has long been at rest.
@@ -145,16 +149,21 @@ class NmpcController:
         Raises:
             ControllerError: where the plant offers no model, or one without equations, or no regulator keeps the robot
                 where it is.
-            ConfigError: where the margin leaves nothing of a joint's range.
+            ConfigError: where the margin leaves nothing of a joint's range, or a setting changes nothing of the robot.
         """
         s, position = self.settings, np.array(observation.position)
+        require_model(spec)
+        s.check_idle(settable(spec.model), self.name, spec.model.name)
         tools = self._tools(spec, s, position, banked=s.estimate_valves)
         begun = tools.horizon.begin(observation)
+        begun["note"] = both(self._said, begun["note"])
         estimation, watched = None, None
         if tools.observer.bank is not None:
-            # Another model's functions are interpreted: a robot does not wait until a compiler is done.
-            plain = replace(s, compiled=False)
-            estimation = ValveEstimation(spec, tools, lambda own: self._tools(own, plain, position, prepared=False))
+            # Lags make other functions, which are interpreted: a robot does not wait until a compiler is done.
+            plain = replace(s, compiled=s.compiled and not tools.observer.bank.lags)
+            estimation = ValveEstimation(
+                spec, tools, lambda own: self._tools(own, plain, position, prepared=False), begun["note"]
+            )
             watched = begun["observer"]
         return NmpcState(**begun, plan=None, answer=None, tools=tools, estimation=estimation, watched=watched)
 

@@ -4,21 +4,25 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, TypeVar
 
+from equimus_ctrl.controllers.allowances import settable
 from equimus_ctrl.controllers.lqr import LqrController, LqrSettings
 from equimus_ctrl.controllers.nmpc import NmpcController, NmpcSettings
 from equimus_ctrl.controllers.open_loop import OpenLoopController
 from equimus_ctrl.controllers.pid import PidController
 from equimus_ctrl.controllers.pid_settings import PidSettings
-from equimus_ctrl.controllers.sampling import SamplingController, SamplingSettings
-from equimus_ctrl.controllers.sampling_any import AnySamplingSettings
+from equimus_ctrl.controllers.sampling import SamplingController
+from equimus_ctrl.controllers.sampling_settings import SamplingSettings
 from equimus_ctrl.controllers.search_space import Search
 from equimus_ctrl.controllers.searched import lqr_space, nmpc_space, placed_space, sampling_space
 from equimus_ctrl.errors import ConfigError, ControllerError, EquimusError
 from equimus_ctrl.registry import Registry
 from equimus_ctrl.robots.base import Need, Robot
+from equimus_ctrl.settings import FileSettings
 from equimus_ctrl.types import Array, Controller
+
+AnySettings = TypeVar("AnySettings", bound=FileSettings)
 
 
 @dataclass(frozen=True, eq=False)
@@ -129,20 +133,33 @@ def _pid(given: ControllerRequest) -> Controller:
     return PidController(settings)
 
 
+def _suited(kind: type[AnySettings], given: ControllerRequest, name: str) -> tuple[AnySettings, str]:
+    """Settings of a regulator, and what has to be said of them.
+
+    What would change nothing of the robot is refused where somebody named the file; of settings that all robots share
+    it is left as by default, and said.
+    """
+    settings, robot = kind.from_dict(given.settings or {}, given.where), given.robot
+    if robot is None:
+        return settings, ""  # it is refused when it begins
+    shared = "" if given.chosen else given.where
+    return settings.suited(settable(robot), f"{given.where}: {name}", robot.name, shared)
+
+
+def _lqr(given: ControllerRequest) -> Controller:
+    settings, said = _suited(LqrSettings, given, "lqr")
+    return LqrController(settings, given.in_time, said)
+
+
+def _nmpc(given: ControllerRequest) -> Controller:
+    settings, said = _suited(NmpcSettings, given, "nmpc")
+    return NmpcController(settings, said=said)
+
+
 def _sampling(given: ControllerRequest) -> Controller:
-    table, where, robot = given.settings or {}, given.where, given.robot
-    if table.get("format") == AnySamplingSettings.form:
-        if robot is not None and "lengths" in robot.offers:
-            raise ConfigError(
-                f"{where}: format is {AnySamplingSettings.form!r}, which is for robots without elastic actuators; "
-                f"expected {SamplingSettings.form!r} for {robot.name}"
-            )
-        return SamplingController(AnySamplingSettings.from_dict(table, where))
-    if robot is not None and "lengths" not in robot.offers:
-        if given.chosen:
-            raise ConfigError(f"{where}: format is {table.get('format')!r}, expected {AnySamplingSettings.form!r}")
-        return SamplingController()  # the settings are those of robots with elastic actuators
-    return SamplingController(SamplingSettings.from_dict(table, where))
+    settings = SamplingSettings.from_dict(given.settings or {}, given.where)
+    # What would change nothing is refused when it begins, which is when it is known what plans are.
+    return SamplingController(settings, shared="" if given.chosen or given.robot is None else given.where)
 
 
 EXACT: frozenset[Need] = frozenset(("inverse",))
@@ -173,7 +190,7 @@ register_controller(
     "lqr",
     ControllerEntry(
         "LQR along the reference on an observer's state, with integral action",
-        lambda given: LqrController(LqrSettings.from_dict(given.settings or {}, given.where), given.in_time),
+        _lqr,
         "lqr.toml",
         needs=EXACT,
         search=lqr_space,
@@ -183,7 +200,7 @@ register_controller(
     "nmpc",
     ControllerEntry(
         "nonlinear model-predictive control on an observer's state",
-        lambda given: NmpcController(NmpcSettings.from_dict(given.settings or {}, given.where)),
+        _nmpc,
         "nmpc.toml",
         needs=EXACT,
         search=nmpc_space,
@@ -192,7 +209,7 @@ register_controller(
 register_controller(
     "sampling",
     ControllerEntry(
-        "sampling MPC in MuJoCo: predictive sampling, MPPI or CEM",
+        "sampling MPC: predictive sampling, MPPI or CEM",
         _sampling,
         "sampling.toml",
         search=sampling_space,

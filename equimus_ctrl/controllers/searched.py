@@ -7,6 +7,7 @@ allowances (``controllers.allowances``), all follow from the bandwidth, which is
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -16,8 +17,7 @@ from equimus_ctrl.controllers.lqr import LqrSettings
 from equimus_ctrl.controllers.nmpc import NmpcSettings
 from equimus_ctrl.controllers.pid_settings import PidSettings
 from equimus_ctrl.controllers.placement import Loop, placed_gains
-from equimus_ctrl.controllers.sampling import SamplingSettings
-from equimus_ctrl.controllers.sampling_any import AnySamplingSettings
+from equimus_ctrl.controllers.sampling_settings import FOLLOWS, SamplingSettings, kind_of
 from equimus_ctrl.controllers.search_space import Range, SearchSpace, Table
 from equimus_ctrl.effects.sensors import SENSOR_DELAY, sensor_settings
 from equimus_ctrl.errors import ControllerError, NotAvailable
@@ -42,8 +42,10 @@ BANDWIDTH = 0.25, 3.0
 """Factors on the bandwidth of others (least, most)."""
 SAMPLED = {"rate": (0.1, 10.0), "pressure": (0.05, 10.0), "deviation": (0.2, 4.0), "observer.torque": (0.05, 20.0)}
 """Factors of the sampling controller where commands are pressures (least, most)."""
-SAMPLED_ANY = {"effort": (0.1, 10.0), "energy": (0.1, 10.0), "deviation": (0.1, 2.0), "unexplained": (0.05, 20.0)}
-"""And of any other robot."""
+FOLLOWED = {"deviation": (0.2, 4.0)}
+"""Along paths of any other robot, beside the bandwidth."""
+LOOKED = {"effort": (0.1, 10.0), "energy": (0.1, 10.0), "deviation": (0.1, 2.0), "unexplained": (0.05, 20.0)}
+"""Of plans that look where they lead."""
 
 
 def placed_space(spec: PlantSpec, pose: Array) -> SearchSpace:
@@ -84,7 +86,7 @@ def lqr_space(spec: PlantSpec, pose: Array) -> SearchSpace:
     Raises:
         ControllerError: where no regulator keeps the robot where it is.
     """
-    return _regulated(LqrSettings(), spec, pose)
+    return _regulated(LqrSettings(), spec, pose, bounded=True)
 
 
 def nmpc_space(spec: PlantSpec, pose: Array) -> SearchSpace:
@@ -92,20 +94,28 @@ def nmpc_space(spec: PlantSpec, pose: Array) -> SearchSpace:
     return _regulated(NmpcSettings(), spec, pose)
 
 
-def _regulated(settings: LqrSettings | NmpcSettings, spec: PlantSpec, pose: Array) -> SearchSpace:
-    bandwidth = allowances(spec, settings, pose).bandwidth / (2 * np.pi)
+def _regulated(
+    settings: LqrSettings | NmpcSettings | SamplingSettings, spec: PlantSpec, pose: Array, bounded: bool = False
+) -> SearchSpace:
+    bandwidth = allowances(spec, settings, pose, bounded).bandwidth / (2 * np.pi)
     if not bandwidth:
         return _about(settings, ALLOWED)
     low, high = BANDWIDTH
     ranges = {"bandwidth": Range(low * bandwidth, high * bandwidth, bandwidth)}
-    return SearchSpace(ranges, settings.to_dict())
+    return SearchSpace(ranges, settings.to_dict(), speed={"bandwidth": 1.0})
 
 
 def sampling_space(spec: PlantSpec, pose: Array) -> SearchSpace:
-    """Of the sampling controller, whichever settings it takes for a robot."""
-    if "lengths" in spec.model.offers:
-        return _about(SamplingSettings(), SAMPLED)
-    return _about(AnySamplingSettings(), SAMPLED_ANY)
+    """Of the sampling controller, by what plans of the robot are."""
+    kind = kind_of(Model(spec.model, spec.effects, spec.phase), pose, "auto")
+    settings = SamplingSettings()
+    settings = replace(settings, deviation=settings.usual(kind).deviation)
+    if kind != FOLLOWS:
+        return _about(settings, LOOKED)
+    if spec.model.traits.commands_are_pressures:
+        return _about(settings, SAMPLED)
+    other = _about(settings, FOLLOWED)
+    return replace(other, ranges={**_regulated(settings, spec, pose).ranges, **other.ranges}, speed={"bandwidth": 1.0})
 
 
 def _about(settings: FileSettings, factors: Mapping[str, tuple[float, float]]) -> SearchSpace:

@@ -1,10 +1,10 @@
 """Regulators that find out about their valves: what they are made of follows the likeliest hypothesis of a bank.
 
-Weights that settings say were not looked at with what usually stands between a command and its force, as those that
-``controllers.allowances`` finds are. With 0.1 s of dead time and 0.1 s of lag that its model lacks, the leg's regulator
-swings; weights low enough not to let it hold against less. So its observer keeps a bank of valves up to the usual ones
-(``estimation.valve_bank``), and once another is likely beyond chance, observer, inverse and regulator are those of a
-model that has it.
+Weights that settings say were not looked at with what usually stands between a command and its force: with 0.1 s of
+dead time and 0.1 s of lag that its model lacks, the leg's regulator swings. Those that ``controllers.allowances`` finds
+are stable then, but lag behind a path, which is most of their error where servos hold their goals stiffly. So the
+observer keeps a bank of valves, or drives, up to the usual ones (``estimation.valve_bank``), and once another is likely
+beyond chance, observer, inverse and regulator are those of a model that has it.
 """
 
 from __future__ import annotations
@@ -13,10 +13,10 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Generic, Protocol, TypeVar
 
-from equimus_ctrl.controllers.allowances import Allowances
 from equimus_ctrl.estimation.observer import Observer, ObserverState
 from equimus_ctrl.estimation.valve_bank import ValveBank
 from equimus_ctrl.models.model import Model
+from equimus_ctrl.settings import both
 from equimus_ctrl.types import Observation, PlantSpec
 
 
@@ -30,9 +30,9 @@ class Observing(Protocol):
 Tools = TypeVar("Tools", bound=Observing)
 
 
-def bank_of(spec: PlantSpec, allowed: Allowances, wanted: bool) -> ValveBank | None:
-    """A bank for a robot; None where it is not wanted, nothing is later than is known, or weights allow for that."""
-    if not wanted or allowed.bandwidth:
+def bank_of(spec: PlantSpec, wanted: bool) -> ValveBank | None:
+    """A bank for a robot; None where it is not wanted, or nothing can be later than is known."""
+    if not wanted:
         return None
     bank = ValveBank(Model(spec.model, spec.effects, spec.phase))
     return bank if bank.is_open else None
@@ -62,12 +62,14 @@ class ValveEstimation(Generic[Tools]):
         spec: of the plant, with the model.
         known: tools of the model as it is known; their observer has a bank.
         make: of a spec whose model has other valves.
+        said: of everything else, for a person to read.
     """
 
-    def __init__(self, spec: PlantSpec, known: Tools, make: Callable[[PlantSpec], Tools]) -> None:
+    def __init__(self, spec: PlantSpec, known: Tools, make: Callable[[PlantSpec], Tools], said: str = "") -> None:
         bank = known.observer.bank
         assert bank is not None
         self._spec, self._make, self._bank, self._observer = spec, make, bank, known.observer
+        self._said = said
         self._made: dict[tuple[int, ...], Tools] = {(0,) * len(spec.actuators): known}
 
     def look(
@@ -95,15 +97,15 @@ class ValveEstimation(Generic[Tools]):
         return Looked(tools, own, after, changed)
 
     def note(self, watched: ObserverState) -> str:
-        """For a person: by how much valves were found later than is known; empty where they were not."""
+        """For a person: also by how much valves were found later than is known, where they were."""
         assert watched.bank is not None
         late = self._bank.late[range(len(self._spec.actuators)), list(watched.bank.choice)]
-        found = [
-            f"{name} by {dead:.3g} s of dead time and {lag:.3g} s of lag"
-            for name, (dead, lag) in zip(self._spec.actuators, late, strict=True)
-            if dead or lag
-        ]
-        return f"valves were found to be later than is known: {', '.join(found)}" if found else ""
+        words = "valves" if self._spec.model.traits.commands_are_pressures else "drives"
+        found = []
+        for name, times in zip(self._spec.actuators, late.tolist(), strict=True):
+            parts = [f"{time:.3g} s of {what}" for time, what in zip(times, ("dead time", "lag"), strict=True) if time]
+            found += [f"{name} by {' and '.join(parts)}"] if parts else []
+        return both(self._said, f"{words} were found to be later than is known: {', '.join(found)}" if found else "")
 
     def _of(self, choice: tuple[int, ...]) -> Tools:
         if choice not in self._made:

@@ -355,10 +355,11 @@ def valve_settings(effects: Sequence[Effect], actuators: Sequence[str]) -> Array
 
 def valve_effects(valve: Array, actuator: str) -> list[ValveEffect]:
     """What makes an actuator's valve what its row (6,) of ``valve_settings`` says."""
-    found: list[ValveEffect] = [
-        TransportDelay(actuator, float(valve[DELAY])),
-        AsymmetricLag(actuator, float(valve[FILL]), float(valve[VENT])),
-    ]
+    found: list[ValveEffect] = [TransportDelay(actuator, float(valve[DELAY]))] if valve[DELAY] > 0 else []
+    if valve[FILL] == valve[VENT] > 0:
+        found.append(FirstOrderLag(actuator, float(valve[FILL])))
+    elif valve[FILL] != valve[VENT]:
+        found.append(AsymmetricLag(actuator, float(valve[FILL]), float(valve[VENT])))
     if valve[RATE] < math.inf:
         found.append(RateLimit(actuator, float(valve[RATE])))
     if valve[FLOW] < math.inf:

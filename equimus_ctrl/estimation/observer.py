@@ -26,6 +26,7 @@ from equimus_ctrl.estimation.valve_bank import BankState, Carried, Sent, ValveBa
 from equimus_ctrl.models.buffered import Buffered
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.models.prediction import Prediction, followed_rates, prediction, steps_in
+from equimus_ctrl.settings import PRESSURES, setting
 from equimus_ctrl.types import Array, Observation, PlantSpec
 
 Status = Literal["tracking", "coasting", "fault"]
@@ -56,9 +57,9 @@ class ObserverSettings:
     """
 
     noise: float = 2e-3
-    torque: float = 5e-4
-    disturbance: float = 0.02
-    pressure: float = 0.05
+    torque: float = setting(5e-4, PRESSURES)
+    disturbance: float = setting(0.02, PRESSURES)
+    pressure: float = setting(0.05, PRESSURES)
     patience: float = 0.1
 
     def __post_init__(self) -> None:

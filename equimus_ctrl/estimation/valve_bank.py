@@ -16,6 +16,7 @@ Control 10, 1965). One filter is run; the others take a product of matrices.
 
 from __future__ import annotations
 
+import itertools
 import math
 from bisect import bisect_right
 from dataclasses import dataclass, replace
@@ -119,6 +120,8 @@ class ValveBank:
     Attributes:
         late: (na, k, 2) further dead time and lag of each hypothesis, the first none [s].
         longest: further dead time, at most [s].
+        is_open: whether anything can be later than is known.
+        lags: whether lags can; dead times take no part in a step of the model.
     """
 
     def __init__(self, model: Model) -> None:
@@ -126,10 +129,11 @@ class ValveBank:
         known = np.stack([valve[:, DELAY], valve_lag(valve)], axis=1)
         room = np.maximum(np.array([traits.usual_delay, traits.usual_lag]) - known, 0.0)
         share = np.linspace(0.0, 1.0, PARTS + 1)
-        each = np.array([(delay, lag) for delay in share for lag in share])
+        ways = (share if wide else share[:1] for wide in room.max(axis=0) > 0)
+        each = np.array(list(itertools.product(*ways)))
         self.late: Array = room[:, None] * each
         self.longest = float(room[:, 0].max(initial=0.0))
-        self.is_open = bool(room.any())
+        self.is_open, self.lags = bool(room.any()), bool(room[:, 1].any())
         self._count = len(each)
         self._alternatives = float(self._count) ** len(valve)
         self._model = model

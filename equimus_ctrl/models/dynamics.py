@@ -292,7 +292,7 @@ class Dynamics:
         )
         most = float(np.linalg.norm(asked - at_rest))
         lost = float(np.linalg.norm((asked - given) - (at_rest - held)))
-        return 1.0 if lost <= LOST * max(most, 1.0) else max(1.0 - lost / max(most, LOST), 0.0)
+        return share_left(lost, most)
 
     def linear(self, q: ArrayLike, u: ArrayLike | None = None) -> Linear:
         """The robot about a pose at rest, no limit of forces near but of actuators whose part others exert.
@@ -312,6 +312,11 @@ class Dynamics:
         call()
         by_q, by_v = (self._joint(self._joint(part.reshape(len(still), -1)).T).T for part in call.results)
         return Linear(self.mass(q), by_v, by_q, drive)
+
+
+def share_left(lost: float, most: float, unit: float = 1.0) -> float:
+    """The share of a size that is left where some of it is lost; all where that is rounding, of it or of a unit."""
+    return 1.0 if lost <= LOST * max(most, unit) else max(1.0 - lost / max(most, LOST * unit), 0.0)
 
 
 def _apart(off: Array, torque: Array) -> bool:

@@ -15,20 +15,14 @@ from equimus_ctrl.effects.sensors import SENSOR_DELAY, sensor_settings
 from equimus_ctrl.effects.valves import valve_settings
 from equimus_ctrl.models.augmented import augmented_model, law_parameters
 from equimus_ctrl.models.buffered import Buffered
-from equimus_ctrl.models.dynamics import Dynamics
+from equimus_ctrl.models.dynamics import Dynamics, share_left
 from equimus_ctrl.models.inverse import inverse_dynamics
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.types import Array, frozen_array
 
 
 class Solved(Protocol):
-    """The commands, as they arrive at the actuators, under which a robot moves.
-
-    Attributes:
-        all_possible: whether all of any motion is to be fed forward.
-    """
-
-    all_possible: bool
+    """The commands, as they arrive at the actuators, under which a robot moves."""
 
     def rest(self, q: Array) -> Array:
         """(nz,) the effects' states after a long rest at q (nj,) [rad or m]."""
@@ -54,14 +48,14 @@ class Solved(Protocol):
 class _Pressures:
     """Of actuators whose pressures act along lengths, see ``models.inverse``."""
 
-    all_possible = True  # springs take the robot back by themselves, and commands beyond their ends are cut off
-
     def __init__(self, model: Model) -> None:
         robot = changed_bodies(model.effects, model.robot)
         mechanics, laws = robot.mechanics(), laws_of(model.effects)
         slots = augmented_model(mechanics.form, model.phase, laws).slots
         self._law = inverse_dynamics(mechanics.form, model.phase, laws)
         own = law_parameters(slots, model.effects, robot.joint_names, robot.actuator_names)
+        self._low, self._high = robot.command_limits
+        self._span = np.max(self._high - self._low)
         self._parameters = np.array([*mechanics.parameters, *own])
         self._pressure, self._counter = Buffered(self._law.pressure), Buffered(self._law.counter)
         for call in (self._pressure, self._counter):
@@ -89,13 +83,18 @@ class _Pressures:
         return np.array(self._law.advanced(q, v, z, self._parameters, dt)).ravel()
 
     def possible(self, q: Array, v: Array, a: Array) -> float:
-        return 1.0
+        still = np.zeros_like(q)
+        z = self.rest(q)[:, None]
+        moving = self.commands(q[:, None], v[:, None], a[:, None], z)[0]
+        resting = self.commands(q[:, None], still[:, None], still[:, None], z)[0]
+        most = float(np.linalg.norm(moving - resting))
+        # What the ends of pressures cut off of the motion; of the pose springs take it where they can.
+        beyond = moving - np.clip(moving, self._low, self._high), resting - np.clip(resting, self._low, self._high)
+        return share_left(float(np.linalg.norm(beyond[0] - beyond[1])), most, float(self._span))
 
 
 class _Exact:
     """Of any actuators, see ``models.dynamics``; the effects' states count as after a long rest."""
-
-    all_possible = False
 
     def __init__(self, model: Model) -> None:
         self._dynamics = Dynamics(model)

@@ -1,8 +1,8 @@
-"""Where many plans lead a robot that begins in one state: in MuJoCo, or by the reduced model in machine code.
+"""Where many plans lead a robot that begins in one state: in MuJoCo, or by the exact equations in machine code.
 
 Both carry the pressures behind the valves, take torques that the model does not explain as lasting, and leave the
-joints' stops out: ranges are the cost's, as in ``predictive.problem``. The reduced model simulates all effects, MuJoCo
-those that exert no force.
+joints' stops out: ranges are the cost's, as in ``predictive.problem``. The exact equations simulate all effects of any
+robot, MuJoCo those of elastic actuators that exert no force.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from equimus_ctrl.models.buffered import Buffered
 from equimus_ctrl.models.linear import fastest_rates
 from equimus_ctrl.models.mjcf import SolverSettings
 from equimus_ctrl.models.model import Model
-from equimus_ctrl.models.prediction import prediction
+from equimus_ctrl.models.prediction import followed_rates, prediction, steps_in
 from equimus_ctrl.models.spread import groups, latin_hypercube, perturbed
 from equimus_ctrl.robots.elastic.morphology import Morphology
 from equimus_ctrl.types import Array
@@ -35,7 +35,6 @@ MUJOCO_SETTINGS = SolverSettings(timestep=1 / 120, integrator="implicitfast", so
 """Over a third of a second within 1 mrad at the leg's hip and 6 mrad at its knee; a quarter of the time of RK4."""
 FOLLOWED = 2.0
 """Fastest rate times step that an integrator is given."""
-ENGINES = ("auto", "mujoco", "reduced")
 
 
 class Rollouts(Protocol):
@@ -50,8 +49,8 @@ class Rollouts(Protocol):
             inputs: (n, steps, na) what reaches the valves [Pa].
 
         Returns:
-            (members, n, steps + 1, k) angles [rad], velocities [rad/s] and pressures [Pa], and in the reduced model the
-            effects' own states; NaN from where a run diverges.
+            (members, n, steps + 1, k) angles [rad], velocities [rad/s] and pressures [Pa], by the exact equations also
+            the effects' own states; NaN from where a run diverges.
         """
 
 
@@ -61,10 +60,10 @@ def members_of(model: Model, count: int, spread: float, seed: int) -> tuple[Mode
     Args:
         model: the first.
         count: how many, the first included.
-        spread: by which share stiffness, area, damping, mass and inertia are perturbed at most, by a Latin hypercube.
+        spread: by which share what varies of the robot is perturbed at most, by a Latin hypercube.
         seed: of the draws.
     """
-    robot = changed_bodies(model.effects, model.morphology)
+    robot = changed_bodies(model.effects, model.robot)
     rest = tuple(effect for effect in model.effects if not isinstance(effect, BodyEffect))
     spreads = groups(robot, dict.fromkeys(("stiffness", "area", "damping", "mass"), spread))
     rows = latin_hypercube(count - 1, len(spreads), np.random.default_rng(seed))
@@ -81,7 +80,7 @@ def make_rollouts(
         samples: how many plans at once.
         steps: of each.
         step: [s].
-        engine: ``"mujoco"``; ``"reduced"``; or ``"auto"``, MuJoCo where it simulates all of the model's effects.
+        engine: ``"mujoco"``; ``"exact"``; or ``"auto"``, MuJoCo where it simulates all that the model has.
         compiled: whether a C compiler is used where there is one.
 
     Raises:
@@ -92,10 +91,10 @@ def make_rollouts(
     if engine == "mujoco" and with_forces:
         raise ConfigError(
             f"engine is 'mujoco', which does not simulate {with_forces[0].name} in many rollouts at once; expected "
-            "'auto' or 'reduced'"
+            "'auto' or 'exact'"
         )
-    if engine == "reduced" or with_forces:
-        return ReducedRollouts(models, samples, steps, step, compiled)
+    if engine == "exact" or with_forces or "lengths" not in models[0].robot.offers:
+        return ExactRollouts(models, samples, steps, step, compiled)
     return MujocoRollouts(models, samples, steps, step)
 
 
@@ -138,14 +137,13 @@ class MujocoRollouts:
         return np.concatenate([moved, ends], axis=3).transpose(1, 0, 2, 3)
 
 
-class ReducedRollouts:
+class ExactRollouts:
     """By the step of ``models.prediction``, all plans of a member in one call."""
 
     def __init__(self, models: Sequence[Model], samples: int, steps: int, step: float, compiled: bool = True) -> None:
         predictions = [prediction(model, stops=False) for model in models]
-        robots = [changed_bodies(model.effects, model.morphology) for model in models]
-        rate = max(_fastest(robot, models[0]) for robot in robots)
-        self._parts = max(math.ceil(rate * step / FOLLOWED), 1)
+        rate = max(followed_rates(model)[0] for model in models)
+        self._parts = max(math.ceil(rate * step / FOLLOWED), *(steps_in(model, step) for model in models))
         self._nx, self._steps = predictions[0].nx, steps
         self._calls: list[Buffered] = []
         for one in predictions:

@@ -25,8 +25,8 @@ class Reading:
     space: str = " "
 
     def text(self, value: float, digits: str = ".4g") -> str:
-        """A value in SI units, as people read it."""
-        return f"{value * self.factor:{digits}}{self.space if self.unit else ''}{self.unit}"
+        """A value in SI units, as people read it; what rounds to zero has no sign."""
+        return f"{value * self.factor:z{digits}}{self.space if self.unit else ''}{self.unit}"
 
 
 _READINGS = {"rad": Reading("°", 180 / math.pi, ""), "m": Reading("mm", 1e3), "Pa": Reading("kPa", 1e-3)}
@@ -52,7 +52,7 @@ def shown(values: ArrayLike, units: Iterable[str], named: bool = True) -> str:
     given, kinds = np.atleast_1d(np.asarray(values, dtype=np.float64)).tolist(), list(units)
     if len(set(kinds)) == 1:
         own = reading(kinds[0])
-        inside = ", ".join(f"{value * own.factor:g}" for value in given)
+        inside = ", ".join(f"{value * own.factor:zg}" for value in given)
         return f"({inside})" + (f" {own.unit}" if own.unit and named else "")
     return "(" + ", ".join(reading(unit).text(value, "g") for value, unit in zip(given, kinds, strict=True)) + ")"
 
@@ -66,7 +66,7 @@ def position_word(units: Iterable[str]) -> str:
 def shown_pose(pose: ArrayLike, units: Iterable[str]) -> str:
     """A pose (nj,) as people read it, with the unit of each joint."""
     values = np.asarray(pose, dtype=np.float64).tolist()
-    return "(" + ", ".join(reading(unit).text(value + 0.0) for value, unit in zip(values, units, strict=True)) + ")"
+    return "(" + ", ".join(reading(unit).text(value) for value, unit in zip(values, units, strict=True)) + ")"
 
 
 def by_unit(what: str, names: Sequence[str], units: Sequence[str], values: ArrayLike) -> dict[str, dict[str, float]]:

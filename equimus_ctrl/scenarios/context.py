@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import itertools
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -157,10 +158,18 @@ class ScenarioContext:
 
         Where it names none, and springs hold the robot: half way between where it rests under the lowest and under the
         highest commands.
+
+        Raises:
+            ConfigError: where a keyframe that it is has a joint out of its range.
         """
-        if self.robot.home is not None:
-            return self.robot.home
-        return self._between_rests
+        for name, pose in itertools.islice(self.robot.keyframes.items(), 1):
+            self._require_within(name, pose, range(len(pose)))
+        return self._somewhere
+
+    @cached_property
+    def _somewhere(self) -> Array:
+        """(nj,) ``home``, or what is nearest to it within the joints' ranges [rad or m]."""
+        return self._between_rests if self.robot.home is None else self.robot.home
 
     def pose(self, given: Mapping[str, float], keyframe: str = "") -> Array:
         """(nj,) a pose in which some joints are where people say, the others where they are in a keyframe [rad or m].
@@ -170,12 +179,15 @@ class ScenarioContext:
             keyframe: by name; ``home`` by default.
 
         Raises:
-            ConfigError: for a keyframe or a joint that there is not, or a position that is no number.
+            ConfigError: for a keyframe or a joint that there is not, a position that is no number, or a keyframe that
+                has a joint out of its range of which nobody says where it is.
         """
         robot = self.robot
         if keyframe and keyframe not in robot.keyframes:
             raise ConfigError(unknown_name("keyframe", keyframe, robot.keyframes, robot.name))
+        keyframe = keyframe or next(iter(robot.keyframes), "")
         pose = np.array(robot.keyframes[keyframe] if keyframe else self.home)
+        left = set(range(len(pose)))
         for joint, value in given.items():
             joint = joint if joint in robot.joint_names else joint.removeprefix(POSITION)
             if joint not in robot.joint_names:
@@ -184,7 +196,21 @@ class ScenarioContext:
                 raise ConfigError(f"{joint} is {value:g}, expected a finite number")
             j = robot.joint_names.index(joint)
             pose[j] = value / reading(robot.joint_units[j]).factor
+            left.discard(j)
+        if keyframe:
+            self._require_within(keyframe, pose, left)
         return pose
+
+    def _require_within(self, keyframe: str, pose: Array, joints: Iterable[int]) -> None:
+        """Raise ConfigError where some joints of a keyframe (nj,) are out of their ranges, with the nearest within."""
+        robot = self.robot
+        near = np.clip(pose, *robot.joint_range)
+        for j in joints:
+            if outside := out_of_range(robot, np.where(np.arange(len(pose)) == j, pose, near)):
+                text = reading(robot.joint_units[j]).text(near[j], ".1f")
+                raise ConfigError(
+                    f"{robot.name}: keyframe {keyframe!r} has {outside}; the nearest that can be reached is {text}"
+                )
 
     def swings(self, size: float, about: Array | None = None) -> tuple[Array, Array]:
         """A middle (nj,) near a pose, and by how much (nj,) each joint may swing about it within its range [rad or m].
@@ -386,7 +412,7 @@ class ScenarioContext:
             ConfigError: where there is none of this name.
         """
         if not name:
-            slopes = {end: self.points.at(end, self.home + ASIDE)[1] for end in self.points.ends}
+            slopes = {end: self.points.at(end, self._somewhere + ASIDE)[1] for end in self.points.ends}
             if not slopes:
                 raise ConfigError(f"{self.robot.name}: has no site that moves; expected one")
             return max(reversed(slopes), key=lambda end: int((np.any(slopes[end] != 0, axis=0) & self.driven).sum()))
@@ -415,8 +441,8 @@ class ScenarioContext:
     def driven(self) -> NDArray[np.bool_]:
         """(nj,) the joints on which an actuator acts."""
         if "inverse" not in self.robot.offers:
-            return np.ones(len(self.home), dtype=bool)
-        drive, _ = self.dynamics.authority(self.home + ASIDE, np.zeros(len(self.home)))
+            return np.ones(len(self._somewhere), dtype=bool)
+        drive, _ = self.dynamics.authority(self._somewhere + ASIDE, np.zeros(len(self._somewhere)))
         return np.asarray(np.any(drive != 0, axis=1))
 
     def check_held(self, pose: Array) -> None:

@@ -63,7 +63,7 @@ def load_hardware(path: Path | None, model: Model, domain: int | None = None, dr
     where: Path | str
     chosen = path or presets.find("hardware", f"{presets.plain_name(robot.name)}.toml")
     if chosen is not None:
-        where, settings = chosen, HardwareSettings.from_dict(presets.read_toml(chosen), str(chosen))
+        where, settings = chosen, HardwareSettings.from_dict(presets.read_toml(chosen), presets.shown(chosen))
     else:
         where, settings = _usual(robot)
     if domain is None and path is None and (given := os.environ.get(DOMAIN_VARIABLE)):
@@ -72,7 +72,7 @@ def load_hardware(path: Path | None, model: Model, domain: int | None = None, dr
         domain = int(given)
     if domain is not None:
         settings = replace(settings, wire=replace(settings.wire, domain=domain))
-    interface_of(settings, robot, str(where), driven)
+    interface_of(settings, robot, presets.shown(where) if isinstance(where, Path) else where, driven)
     return settings
 
 
@@ -80,7 +80,7 @@ def _usual(robot: Robot) -> tuple[Path | str, HardwareSettings]:
     """Where settings of a robot that has none of its own are from, and these."""
     found = presets.find("hardware", DEFAULT)
     if found is not None:
-        settings = HardwareSettings.from_dict(presets.read_toml(found), str(found))
+        settings = HardwareSettings.from_dict(presets.read_toml(found), presets.shown(found))
         if (set(settings.joints), set(settings.actuators)) == (set(robot.joint_names), set(robot.actuator_names)):
             return found, settings
     return "hardware settings", settings_for(robot, rates_of(robot).control)

@@ -124,7 +124,9 @@ def load_controller(
         path = path or presets.find("controllers", takes)
     table = presets.read_toml(path) if path is not None else None
     commands = scenario.commands.at if scenario.commands is not None else None
-    return make_controller(name, table, commands, str(path or name), robot, settings is not None)
+    return make_controller(
+        name, table, commands, name if path is None else presets.shown(path), robot, settings is not None
+    )
 
 
 @dataclass(frozen=True, eq=False)

@@ -73,7 +73,7 @@ def autotune(
     entry, _ = tunable(controller)
     path = study or study_for(controller, model)
     table = presets.read_toml(path)
-    settings = study_from_dict(table, str(path))
+    settings = study_from_dict(table, presets.shown(path))
     own: dict[str, Any] = {"candidates": options.candidates, "seed": options.seed}
     if options.scenarios:
         own["objectives"] = tuple(Objective(name) for name in options.scenarios)
@@ -135,7 +135,7 @@ def _ways(controller: str, path: Path, on_plant: bool) -> tuple[Callable[..., An
 
         prepare = partial(load_plugins, loaded()) if loaded() else None
         return (
-            partial(plant_tuning.make_plant_problem, controller=controller, where=str(path)),
+            partial(plant_tuning.make_plant_problem, controller=controller, where=presets.shown(path)),
             plant_tuning.study_key,
             partial(plant_tuning.tune_on_plant, prepare=prepare),
         )
@@ -144,7 +144,9 @@ def _ways(controller: str, path: Path, on_plant: bool) -> tuple[Callable[..., An
 
     if not CONTROLLERS.entry(controller).compiled:
         able = ", ".join(name for name, entry in CONTROLLERS.items() if entry.compiled)
-        raise ConfigError(f"{path}: format is {FORMAT!r}, which is of {able} alone; expected {ON_PLANT!r}")
+        raise ConfigError(
+            f"{presets.shown(path)}: format is {FORMAT!r}, which is of {able} alone; expected {ON_PLANT!r}"
+        )
     return compiled.make_problem, compiled.study_key, compiled.autotune
 
 
@@ -159,7 +161,7 @@ def study_for(controller: str, model: Model) -> Path:
     names = (f"{controller}.toml", f"{controller}_any.toml", *FOR_ALL)
     found = [path for name in names if (path := presets.find("tuning", name)) is not None]
     for path in found:
-        if suits(presets.read_toml(path), model.robot.joint_names, str(path)):
+        if suits(presets.read_toml(path), model.robot.joint_names, presets.shown(path)):
             return path
     raise ConfigError(f"there is no tuning/{FOR_ALL[-1]}; name a study with --study")
 

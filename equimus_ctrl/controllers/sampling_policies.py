@@ -1,6 +1,7 @@
-"""Sampling model-predictive control of any robot that can be rolled out, under-actuated ones included.
+"""Plans that look where they lead, for the sampling control of robots that cannot follow any path.
 
-What plans are stands in ``predictive.policies``. One costs
+Some joint has no actuator, something may touch, or no equations of motion hold the robot. What plans are stands in
+``predictive.policies``. One costs
 
     Σ ½ T (|e/s|² + r² |δu/h|²)  +  H (½ |e_N/s|² + w ((E_N − E*)/ΔE)²)  +  min(½ eᵀ_N P e_N, H)
 
@@ -15,29 +16,27 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import ClassVar
 
 import numpy as np
 
 from equimus_ctrl.controllers.inverse import SMOOTHING
+from equimus_ctrl.controllers.sampling_settings import SamplingSettings
 from equimus_ctrl.effects.sensors import SENSOR_DELAY, behind, sensor_settings
 from equimus_ctrl.effects.valves import shaped_commands, shaping_effects
 from equimus_ctrl.engines.mjcf_realised import realise
-from equimus_ctrl.errors import ConfigError, ControllerError, NotAvailable, unknown_name
+from equimus_ctrl.errors import ControllerError, NotAvailable
 from equimus_ctrl.estimation.predicted import Known, Predicted
 from equimus_ctrl.models.dynamics import Dynamics
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.predictive.costs import Wanted
 from equimus_ctrl.predictive.energy import Energy
-from equimus_ctrl.predictive.forward import ENGINES, Forward, make_forward
+from equimus_ctrl.predictive.forward import Forward, make_forward
 from equimus_ctrl.predictive.measures import Measures, measures_of
 from equimus_ctrl.predictive.policies import Path, Plans, Policies, Settler, Valves, drawn, settler
-from equimus_ctrl.predictive.sampling import METHODS, Memory, Method, Spread
+from equimus_ctrl.predictive.sampling import Memory, Method, Spread
 from equimus_ctrl.predictive.splines import Spline
-from equimus_ctrl.settings import FileSettings
 from equimus_ctrl.types import Array, Observation, PlantSpec, Reference, frozen_array
 
-FORMAT = "equimus-ctrl/sampling_any/1"
 Penalty = Callable[[Array, Array, Array, Wanted], Array]
 """(times (n + 1,) [s], states (m, n + 1, 2 nj), commands (m, n, na), what is wanted) → (m,) what is added to costs."""
 
@@ -54,88 +53,12 @@ SAME = 1e-6
 """Share of a control period by which two instants may differ that are one."""
 
 
-@dataclass(frozen=True)
-class AnySamplingSettings(FileSettings):
-    """Settings of the sampling controller of robots without elastic actuators.
-
-    Attributes:
-        method: of ``predictive.sampling.METHODS``.
-        samples: plans tried at once, the nominal one included.
-        horizon: how far plans look ahead [s]; 0 for a period of the slowest motion about the wanted pose.
-        knots: of a plan's spline; 0 for four in a period of the fastest.
-        spline: ``"zero"``, ``"linear"`` or ``"cubic"``.
-        least_deviation: standard deviation of the knots of the finest plans, in half the range of commands.
-        deviation: of the boldest.
-        temperature: of MPPI, relative to the difference between the median and the least cost of the plans.
-        elites: share of the plans that the cross-entropy method goes on with.
-        iterations: rounds of samples at one instant.
-        every: how many control periods a plan is followed before others are tried.
-        engine: ``"exact"``, ``"mujoco"`` or ``"auto"``, see ``predictive.forward``.
-        effort: r, what a command off by half its range costs beside an error of a whole scale.
-        energy: w, what energy off by all that poses differ by costs beside the same.
-        noise: standard deviation of measured positions [rad or m].
-        unexplained: accelerations that the model does not explain, in shares of the largest that the actuators exert.
-        patience: how long a joint may go without measurement before that is a fault [s].
-        compiled: whether a C compiler is used where there is one.
-        seed: of all that is drawn.
-
-    Raises:
-        ConfigError: for numbers that make no sense.
-    """
-
-    form: ClassVar[str] = FORMAT
-
-    method: str = "predictive_sampling"
-    samples: int = 128
-    horizon: float = 0.0
-    knots: int = 0
-    spline: str = "linear"
-    least_deviation: float = 0.01
-    deviation: float = 1.0
-    temperature: float = 0.1
-    elites: float = 0.1
-    iterations: int = 1
-    every: int = 2
-    engine: str = "auto"
-    effort: float = 0.1
-    energy: float = 4.0
-    noise: float = 1e-3
-    unexplained: float = 0.01
-    patience: float = 0.1
-    compiled: bool = True
-    seed: int = 0
-
-    def __post_init__(self) -> None:
-        if self.method not in METHODS:
-            raise ConfigError(unknown_name("method", self.method, METHODS))
-        if self.engine not in ENGINES:
-            raise ConfigError(f"engine is {self.engine!r}, expected one of {', '.join(ENGINES)}")
-        counts = (
-            ("samples", 4, 100_000), ("knots", 0, 1000), ("iterations", 1, 1000), ("every", 1, 1000), ("seed", 0, 2**63)
-        )  # fmt: skip
-        for key, least, most in counts:
-            if not least <= getattr(self, key) <= most:
-                raise ConfigError(f"{key} is {getattr(self, key)}, expected {least} to {most}")
-        above = ("least_deviation", "temperature", "elites", "effort", "noise", "unexplained", "patience")
-        for key in above:
-            if not (math.isfinite(getattr(self, key)) and getattr(self, key) > 0):
-                raise ConfigError(f"{key} is {getattr(self, key):g}, expected more than 0")
-        for key, bound in (("horizon", 0.0), ("energy", 0.0), ("deviation", self.least_deviation)):
-            if not (math.isfinite(getattr(self, key)) and getattr(self, key) >= bound):
-                raise ConfigError(f"{key} is {getattr(self, key):g}, expected at least {bound:g}")
-        if self.elites > 1:
-            raise ConfigError(f"elites is {self.elites:g}, expected at most 1")
-        if self.knots:
-            Spline(self.spline, self.knots, 1.0)
-        else:
-            Spline(self.spline, 4, 1.0)
-
-
 @dataclass(frozen=True, eq=False)
 class Waiting:
     """A robot of which nobody has said yet where it is to be.
 
     Attributes:
+        settings: of the controller.
         spec: of its plant.
         observation: the first.
         model: what is known of it.
@@ -144,6 +67,7 @@ class Waiting:
         note: by what plans are rolled out, for a person to read.
     """
 
+    settings: SamplingSettings
     spec: PlantSpec
     observation: Observation
     model: Model
@@ -153,7 +77,7 @@ class Waiting:
 
 
 @dataclass(frozen=True, eq=False)
-class AnySamplingTools:
+class PolicyTools:
     """What is made once for a plant."""
 
     model: Model
@@ -165,7 +89,7 @@ class AnySamplingTools:
 
 
 @dataclass(frozen=True, eq=False)
-class AnySamplingState:
+class PolicyState:
     """What the controller carries from step to step.
 
     Attributes:
@@ -182,6 +106,7 @@ class AnySamplingState:
             command, ``"shifted"`` where none could be rolled out then.
         note: by what plans are rolled out, and what is lacking, for a person to read.
         tools: made for the plant once.
+        settings: of the controller.
     """
 
     known: Known
@@ -195,10 +120,11 @@ class AnySamplingState:
     count: int
     status: str
     note: str
-    tools: AnySamplingTools
+    tools: PolicyTools
+    settings: SamplingSettings
 
 
-def begin(settings: AnySamplingSettings, spec: PlantSpec, observation: Observation) -> Waiting:
+def begin(settings: SamplingSettings, spec: PlantSpec, observation: Observation) -> Waiting:
     """The state of a robot at rest.
 
     Args:
@@ -220,15 +146,15 @@ def begin(settings: AnySamplingSettings, spec: PlantSpec, observation: Observati
     called = "exact equations of motion" if forward.name == "exact" else "XML in MuJoCo"
     note = f"plans are rolled out by the {called}: {forward.why}"
     try:
-        return Waiting(spec, observation, model, forward, Dynamics(model), note)
+        return Waiting(settings, spec, observation, model, forward, Dynamics(model), note)
     except NotAvailable:
         note += "; no regulator ends them and no energy guides them, for no equations of motion hold the robot"
-        return Waiting(spec, observation, model, forward, None, note)
+        return Waiting(settings, spec, observation, model, forward, None, note)
 
 
-def _begun(settings: AnySamplingSettings, method: Method, state: Waiting, pose: Array) -> AnySamplingState:
+def _begun(method: Method, state: Waiting, pose: Array) -> PolicyState:
     """The same once it is known where it is to be, (nj,): what plans are measured by is that of this pose."""
-    s, spec, model, forward, dynamics = settings, state.spec, state.model, state.forward, state.dynamics
+    s, spec, model, forward, dynamics = state.settings, state.spec, state.model, state.forward, state.dynamics
     observation, dt = state.observation, spec.control_dt
     own = measures_of(spec, pose, forward, dynamics)
     valves = _valves(model, dt)
@@ -247,17 +173,17 @@ def _begun(settings: AnySamplingSettings, method: Method, state: Waiting, pose: 
         pushed = np.abs(np.linalg.solve(dynamics.mass(pose), drive)) @ own.command
         strongest = np.where(pushed > LACKING * pushed.max(initial=0.0), pushed, strongest)
     sensor = sensor_settings(model.effects, spec.joints)
-    index = s.unexplained * strongest * dt**2 / s.noise
-    follower = Predicted(dt, spec.joints, index, sensor[:, SENSOR_DELAY], s.patience)
+    index = s.unexplained * strongest * dt**2 / s.observer.noise
+    follower = Predicted(dt, spec.joints, index, sensor[:, SENSOR_DELAY], s.observer.patience)
     q = behind(sensor, np.array(observation.position))
     command = np.array(observation.command)
     arriving = valves.shaped(command[None])[0]
     known = follower.begin(forward.begin(q, np.zeros_like(q), arriving), q, observation.time, observation.stamp)
     shape = (knots, len(low))
-    tools = AnySamplingTools(model, policies, dynamics, follower, sensor, steps)
-    return AnySamplingState(
+    tools = PolicyTools(model, policies, dynamics, follower, sensor, steps)
+    return PolicyState(
         known, arriving, np.tile(command, (valves.memory, 1)), Plans.none(*shape), 0, method.begin(shape, _spread(s)),
-        np.empty(0), None, 0, "sampled", note, tools,
+        np.empty(0), None, 0, "sampled", note, tools, s,
     )  # fmt: skip
 
 
@@ -269,12 +195,12 @@ def _valves(model: Model, dt: float) -> Valves:
     return Valves(valve, dt, lambda rows: shaped_commands(model.effects, names, rows, ranges))
 
 
-def _spread(s: AnySamplingSettings) -> Spread:
+def _spread(s: SamplingSettings) -> Spread:
     return Spread(s.least_deviation, s.deviation, s.temperature, s.elites)
 
 
 def _guides(
-    s: AnySamplingSettings,
+    s: SamplingSettings,
     model: Model,
     dynamics: Dynamics | None,
     own: Measures,
@@ -299,21 +225,20 @@ def _guides(
 
 
 def step(
-    settings: AnySamplingSettings,
     method: Method,
     penalty: Penalty | None,
     observation: Observation,
     reference: Reference,
-    state: AnySamplingState | Waiting,
-) -> tuple[Array, AnySamplingState]:
+    state: PolicyState | Waiting,
+) -> tuple[Array, PolicyState]:
     """The next command, within the plant's limits, and the next state.
 
     Raises:
         ControllerError: where a joint was not measured for too long.
     """
-    s = settings
+    s = state.settings
     if isinstance(state, Waiting):
-        state = _begun(s, method, state, np.array(reference.position(observation.time)))
+        state = _begun(method, state, np.array(reference.position(observation.time)))
     else:
         state = _observed(observation, state)
     t = state.tools
@@ -330,7 +255,7 @@ def step(
     return frozen_array(command), replace(state, age=state.age + 1, ahead=ahead, count=state.count + 1)
 
 
-def _observed(observation: Observation, state: AnySamplingState) -> AnySamplingState:
+def _observed(observation: Observation, state: PolicyState) -> PolicyState:
     """What is known a control period later, in which the command that is observed was in force."""
     t = state.tools
     p = t.policies
@@ -347,7 +272,7 @@ def _observed(observation: Observation, state: AnySamplingState) -> AnySamplingS
     return replace(state, known=known, behind=held[0], under_way=sent[1:])
 
 
-def _ahead(reference: Reference, now: float, state: AnySamplingState) -> tuple[float, Array, Array]:
+def _ahead(reference: Reference, now: float, state: PolicyState) -> tuple[float, Array, Array]:
     """Where the robot is to be from now on (steps + 1, 2 nj), and commands for that (steps, na); each read once."""
     t = state.tools
     dt = t.policies.period
@@ -372,13 +297,13 @@ def _ahead(reference: Reference, now: float, state: AnySamplingState) -> tuple[f
 
 
 def _planned(
-    s: AnySamplingSettings,
+    s: SamplingSettings,
     method: Method,
     penalty: Penalty | None,
     nominal: Plans,
     path: Path,
-    state: AnySamplingState,
-) -> AnySamplingState:
+    state: PolicyState,
+) -> PolicyState:
     """The state with the plan of this instant, or with that of before, shifted, where all rollouts are lost."""
     p = state.tools.policies
     rng = np.random.Generator(np.random.Philox(key=s.seed, counter=[0, 0, 0, state.count]))
@@ -400,7 +325,7 @@ def _planned(
     return replace(state, plan=nominal, age=0, memory=memory, cost=frozen_array(cost), status=status)
 
 
-def _cost(s: AnySamplingSettings, penalty: Penalty | None, plans: Plans, path: Path, state: AnySamplingState) -> Array:
+def _cost(s: SamplingSettings, penalty: Penalty | None, plans: Plans, path: Path, state: PolicyState) -> Array:
     """(n,) of plans; infinite where a rollout is lost."""
     p = state.tools.policies
     with np.errstate(all="ignore"):  # what diverges may overflow

@@ -11,13 +11,14 @@ from mjcf_models import RIG, pendulum, refusal
 
 from equimus_ctrl import presets, workflow
 from equimus_ctrl.controllers.registry import make_controller
-from equimus_ctrl.controllers.sampling import SamplingController, SamplingSettings
-from equimus_ctrl.controllers.sampling_any import AnySamplingSettings, AnySamplingState
-from equimus_ctrl.effects import FirstOrderLag, StribeckFriction, TransportDelay
+from equimus_ctrl.controllers.sampling import SamplingController, SamplingState
+from equimus_ctrl.controllers.sampling_policies import PolicyState
+from equimus_ctrl.controllers.sampling_settings import SamplingSettings
+from equimus_ctrl.effects import FirstOrderLag, PayloadMass, StribeckFriction, TransportDelay
 from equimus_ctrl.engines.mjcf_realised import realise
 from equimus_ctrl.estimation.predicted import Predicted, tracking_gains
 from equimus_ctrl.models.dynamics import Dynamics
-from equimus_ctrl.models.model import Model
+from equimus_ctrl.models.model import Model, nominal_model
 from equimus_ctrl.plants.mujoco_plant import MujocoPlant
 from equimus_ctrl.predictive.energy import Energy
 from equimus_ctrl.predictive.forward import ExactForward, MujocoForward, can_touch, make_forward
@@ -39,10 +40,10 @@ BOUNCER = MjcfRobot(
     <body pos="0 0 0.2"><joint name="up" type="slide" axis="0 0 1"/><geom name="ball" size="0.1" mass="1"/></body>
     </worldbody><actuator><motor name="lift" joint="up" ctrlrange="-20 20"/></actuator></mujoco>""",
 )
-FEW = AnySamplingSettings(samples=32, compiled=False)
+FEW = SamplingSettings(samples=32, compiled=False)
 
 
-def balanced(model: Model, *, seconds: float = 0.6, seed: int = 0, settings: AnySamplingSettings = FEW) -> Run:
+def balanced(model: Model, *, seconds: float = 0.6, seed: int = 0, settings: SamplingSettings = FEW) -> Run:
     """A pole that begins 3° off upright."""
     plant = MujocoPlant(model, noise=1e-3)
     start = Start(command=[0.0], position=[0.0, np.radians(3.0)])
@@ -374,25 +375,49 @@ def test_where_it_is_to_go_is_asked_for() -> None:
     assert "expected more than 0" in refusal(lambda: built(CARTPOLE.robot, within="0"))
 
 
-def test_settings_are_those_of_the_file_and_of_the_robot(tmp_path: Path) -> None:
-    path = presets.find("controllers", "sampling_any.toml")
+@pytest.mark.parametrize(("model", "kind"), [
+    (CARTPOLE, PolicyState), (Model(BOUNCER), PolicyState), (Model(RIG), SamplingState), (nominal_model(), SamplingState),
+], ids=lambda own: getattr(own, "name", ""))  # fmt: skip
+def test_one_file_is_for_every_robot_and_what_plans_are_follows_from_it(model: Model, kind: type) -> None:
+    path = presets.find("controllers", "sampling.toml")
     assert path is not None
-    table = presets.read_toml(path)
-    assert AnySamplingSettings.from_dict(table) == AnySamplingSettings()
-    own = make_controller("sampling", table, robot=CARTPOLE.robot, chosen=True)
-    assert isinstance(own, SamplingController)
-    legs = {"format": SamplingSettings.form}
-    assert "expected 'equimus-ctrl/sampling_any/1'" in refusal(
-        lambda: make_controller("sampling", legs, robot=CARTPOLE.robot, chosen=True)
-    )
-    leg = workflow.load_scenario("hold", CARTPOLE.robot, search=False)
-    assert isinstance(workflow.load_controller("sampling", leg, robot=CARTPOLE.robot), SamplingController)
-    for key, value in (("samples", 2), ("effort", 0.0), ("engine", "fast"), ("method", "luck"), ("every", 0)):
-        assert key in refusal(lambda key=key, value=value: AnySamplingSettings.from_dict({key: value}))
+    table = {**presets.read_toml(path), "compiled": False, "samples": 8}
+    assert SamplingSettings.from_dict(presets.read_toml(path)) == SamplingSettings()
+    plant = MujocoPlant(model)
+    own = make_controller("sampling", table, robot=model.robot, chosen=True)
+    seen = plant.reset(seed=0)
+    pose = HoldReference(seen.position)
+    command, state = own.step(seen, pose, own.init(plant.spec, seen))
+    assert isinstance(state, kind) and np.isfinite(command).all()
+    # What is for plans of the other kind is refused, and left aside in a file that all robots share.
+    name, words = ("risk", "robots whose joints") if kind is PolicyState else ("effort", "robots with a joint")
+    idle = {name: 0.5}
+    other = make_controller("sampling", {**table, **idle}, robot=model.robot, chosen=True)
+    assert refusal(lambda: other.init(plant.spec, seen)).startswith(f"sampling: {name} is for {words}")
+    shared = make_controller("sampling", {**table, **idle}, where="sampling.toml", robot=model.robot)
+    _, state = shared.step(seen, pose, shared.init(plant.spec, seen))
+    assert state.note.startswith(f"sampling.toml: {name} left aside")
+
+
+def test_a_robot_that_can_follow_a_path_is_left_no_offset_by_masses_that_nobody_told_of() -> None:
+    heavy = Model(RIG, (PayloadMass("rod", 0.3),))
+    plant = MujocoPlant(heavy, nominal=Model(RIG))
+    own = SamplingController(SamplingSettings(compiled=False))
+    pose = RIG.home + np.array([0.4, 0.0])
+    done = run(plant, own, HoldReference(pose), 2.5)
+    assert done.truth is not None and np.abs(done.truth[-30:].mean(axis=0) - pose).max() < 3e-3
+
+
+@pytest.mark.parametrize(
+    "given", [{"samples": 2}, {"effort": 0.0}, {"engine": "fast"}, {"method": "luck"}, {"every": 0}]
+)
+def test_settings_that_are_none_are_refused(given: dict[str, object]) -> None:
+    (key,) = given
+    assert key in refusal(lambda: SamplingSettings.from_dict(given))
 
 
 def test_its_state_tells_what_plans_cost() -> None:
     plant, own = MujocoPlant(CARTPOLE), SamplingController(FEW, penalty=lambda times, states, inputs, wanted: 5.0)  # type: ignore[arg-type, return-value]
     seen = plant.reset(Start(command=[0.0], position=UPRIGHT))
     _, state = own.step(seen, HoldReference(UPRIGHT), own.init(plant.spec, seen))
-    assert isinstance(state, AnySamplingState) and state.cost.min() >= 5.0
+    assert isinstance(state, PolicyState) and state.cost.min() >= 5.0
