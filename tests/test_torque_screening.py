@@ -15,7 +15,7 @@ from equimus_ctrl.diagnosis.candidates import candidates
 from equimus_ctrl.diagnosis.fitting import Data
 from equimus_ctrl.diagnosis.holdout import split
 from equimus_ctrl.diagnosis.hypothesis import Part, default_free_parameters, parameters_of
-from equimus_ctrl.diagnosis.torque_agreement import left_over, share_in_torques, shown_in_torques
+from equimus_ctrl.diagnosis.torque_agreement import more_beside, share_in_torques, shown_in_torques
 from equimus_ctrl.diagnosis.torque_columns import columns_of
 from equimus_ctrl.diagnosis.torque_screening import torque_domain, torque_screen
 from equimus_ctrl.diagnosis.torque_start import laws_asked_for, worth_simulating
@@ -28,6 +28,7 @@ from equimus_ctrl.effects import (
     FrictionWarmup,
     ParallelSpring,
     PayloadMass,
+    PositionDependentFriction,
     SensorDelay,
     SensorOffset,
     TransportDelay,
@@ -174,10 +175,24 @@ def test_the_torque_domain_tells_a_law_that_is_there_from_one_that_is_not() -> N
     there, not_there = (share_in_torques(data, domain, fitted, k) for k in (0, 1))
     assert there == pytest.approx(1.0, abs=0.25) and not_there < 0.1
     assert [shown_in_torques(data, domain, fitted, k) for k in (0, 1)] == [True, False]
-    left = left_over(data, domain, fitted)
-    assert left[0] < 0.1 < 10 < left[1]
     fitted = SimpleNamespace(hypothesis=(parts[0], *parts[2:]), fit=SimpleNamespace(theta=theta))
     assert [share_in_torques(data, domain, fitted, k) for k in (1, 2)] == [np.inf, np.inf]
+
+
+@pytest.mark.parametrize(
+    ("missing", "more"),
+    [(CoulombFriction("hinge", 0.08), False), (PositionDependentFriction("hinge", 0.02, 0.15, 1.57), True)],
+)
+def test_the_torque_domain_tells_whether_friction_depends_on_the_angle(missing: Effect, more: bool) -> None:
+    data = data_of(ROBOT, recorded(Model(ROBOT, (missing,)), seed=1, seconds=8.0))
+    pool = {c.label: c for c in candidates(Model(ROBOT), data.segments)}
+    domain = torque_domain(data, tuple(pool.values()))
+    assert domain is not None
+    other = pool["position_dependent_friction:hinge"]
+    friction = Part(pool["coulomb_friction:hinge"], {"friction": 0.08})
+    there = {"friction": 0.02, "more": 0.15, "angle": 1.57}
+    shares = more_beside(data, domain, (friction,), [replace(other, guesses=(there,))])
+    assert (shares[0] > 0.05) is more
 
 
 @pytest.mark.parametrize(("interpolation", "least"), [("hold", 0.0), ("linear", 0.5)])

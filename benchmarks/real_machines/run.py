@@ -130,7 +130,7 @@ CASES = {
         "XL330 servo, friction concealed",
         "xl330.xml",
         "xl330",
-        ("horn.armature", "servo.kp", "servo.kd", "servo.resistance"),
+        ("horn.armature", "servo.kp", "servo.kd"),
         ("sin_time_square*",),
         "friction that grows with the load",
     ),

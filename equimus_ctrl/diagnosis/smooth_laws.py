@@ -33,7 +33,7 @@ from equimus_ctrl.diagnosis.policy import Thresholds
 from equimus_ctrl.diagnosis.residuals import ResidualForce, Unexplained
 from equimus_ctrl.diagnosis.search import Search
 from equimus_ctrl.diagnosis.search_state import SearchState
-from equimus_ctrl.diagnosis.torque_agreement import left_over
+from equimus_ctrl.diagnosis.torque_agreement import more_beside
 from equimus_ctrl.diagnosis.torque_screening import CORRELATED, torque_screen
 from equimus_ctrl.diagnosis.unexplained import GENERALISED, ResidualAnalysis, residual_analysis
 from equimus_ctrl.effects.excitation import Excitation
@@ -98,7 +98,7 @@ def analysed(search: Search, state: SearchState, split: Split, before: Sequence[
         before: what was left beside laws of which some were rejected: its joints are asked again, with or without
             other laws, where no force is found at them to first order.
     """
-    own = _with_room(search, state.best, residual_analysis(search.data, state.base, state.best, state.without))
+    own = _borne_out(search, state.best, residual_analysis(search.data, state.base, state.best, state.without))
     also = _places(before) - _places(own.unexplained)
     if own.redundant or not (state.best.hypothesis or also) or search.data.free.model.robot.traits.held_in_place:
         return own
@@ -120,21 +120,30 @@ def analysed(search: Search, state: SearchState, split: Split, before: Sequence[
     )
 
 
-def _with_room(search: Search, best: Fitted, analysis: ResidualAnalysis) -> ResidualAnalysis:
-    """The same without laws that are called others by a force which the torque domain has no room for.
+def _borne_out(search: Search, best: Fitted, analysis: ResidualAnalysis) -> ResidualAnalysis:
+    """The same without laws that a force would generalise of which the torque domain shows too little.
 
-    All that is left there is less than the share of such a law's own gain from which on hypotheses are distinguished.
+    There the speed times a function of the angle has to explain that share of what the law does from which on
+    hypotheses are distinguished, as residual forces have to. Residuals are weighed by coloured noise, which slow forces
+    resemble; the torque domain weighs them as they are.
     """
     asked = {k for k, reason in analysis.redundant.items() if reason == GENERALISED}
     if not asked or (domain := search.torque_domain) is None:
         return analysis
-    left, thresholds = left_over(search.data, domain, best), search.data.thresholds
-    small = {k for k in asked & left.keys() if thresholds.decides(partial(_no_room, left[k]))}
-    return replace(analysis, redundant={k: why for k, why in analysis.redundant.items() if k not in small})
+    data, excitation = search.data, excitation_of(search.data.free.model, search.data.segments)
+    joints = _joints(search, best, ())
+    further = [_candidate(joint, shape, excitation[joint]) for joint in joints for shape in SHAPES if shape.times_rate]
+    shown = dict[int, float]()
+    for times in WIDER:
+        wider = replace(domain, width=times * domain.width)
+        for k, share in more_beside(data, wider, best.hypothesis, further).items():
+            shown[k] = max(share, shown.get(k, 0.0))
+    little = {k for k in asked & shown.keys() if data.thresholds.decides(partial(_too_little, shown[k]))}
+    return replace(analysis, redundant={k: why for k, why in analysis.redundant.items() if k not in little})
 
 
-def _no_room(left: float, t: Thresholds) -> bool:
-    return left < t.indistinguishable_share
+def _too_little(share: float, t: Thresholds) -> bool:
+    return share < t.indistinguishable_share
 
 
 def analysed_without(search: Search, state: SearchState, split: Split, beside: ResidualAnalysis) -> ResidualAnalysis:

@@ -10,18 +10,19 @@ adds to them at the sizes c that simulation found, and the parameters to estimat
 
 is 1 where both agree, and 0 where the forces show nothing of it.
 
-The other way round, a residual force that the torque domain has no room for is no reason to call a law another one.
+The other way round, a residual force that the torque domain does not show is no reason to call a law another one.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from equimus_ctrl.diagnosis.fitting import Data, Fitted
-from equimus_ctrl.diagnosis.hypothesis import parameters_of
+from equimus_ctrl.diagnosis.hypothesis import Candidate, Hypothesis, parameters_of
 from equimus_ctrl.diagnosis.torque_screening import CORRELATED, WEAK, TorqueDomain, screened_at, torque_screen
 from equimus_ctrl.effects.force import ForceEffect
 
@@ -69,21 +70,30 @@ def shown_in_torques(data: Data, domain: TorqueDomain, fitted: Fitted, k: int) -
     return data.thresholds.decides(lambda t: share >= t.torque_share)
 
 
-def left_over(data: Data, domain: TorqueDomain, fitted: Fitted) -> dict[int, float]:
-    """For places of force laws χ² that all parts leave in the torque domain, over by how much each lets it fall.
+def more_beside(
+    data: Data, domain: TorqueDomain, hypothesis: Hypothesis, further: Sequence[Candidate]
+) -> dict[int, float]:
+    """For places of force laws what one of some candidates explains more in the torque domain, over what the law does.
 
-    No force can explain more than what is left, wherever and on whatever it depends. What the torque domain does not
-    show of other parts counts as left.
+    Each beside all other laws, of which sizes are fitted there.
 
     Args:
         data: what was measured.
         domain: the same in the torque domain.
-        fitted: the hypothesis.
+        hypothesis: with the laws.
+        further: of which the one counts that explains most at a law's places.
     """
-    laws = {k: part for k, part in enumerate(fitted.hypothesis) if issubclass(part.candidate.effect, ForceEffect)}
+    laws = {k: part for k, part in enumerate(hypothesis) if issubclass(part.candidate.effect, ForceEffect)}
     pool = {k: replace(part.candidate, guesses=(part.values,)) for k, part in laws.items()}
-    screen = torque_screen(data, domain, None, list(pool.values()))
+    screen = torque_screen(data, domain, None, [*pool.values(), *further])
     columns = {k: own for k, candidate in pool.items() for own in screen.columns if own.candidate is candidate}
-    left, _ = screen.fitted(list(columns.values()))
-    falls = {k: screen.fitted([own for j, own in columns.items() if j != k])[0] - left for k in columns}
-    return {k: left / max(fall, 1e-300) for k, fall in falls.items()}
+    whole = list(columns.values())
+    left, _ = screen.fitted(whole)
+    found = dict[int, float]()
+    for k in columns:
+        places = set(laws[k].candidate.locations)
+        own = [c for c in screen.columns if c.candidate in further and places.intersection(c.candidate.locations)]
+        more = max((left - screen.fitted([*whole, c])[0] for c in own), default=0.0)
+        fall = screen.fitted([c for j, c in columns.items() if j != k])[0] - left
+        found[k] = more / max(fall, 1e-300)
+    return found
