@@ -313,7 +313,7 @@ HARDEST = 1
 """Number of the robot of an ensemble that is hardest to keep stable."""
 SLOWER, SLOWINGS = 2**-0.25, 9
 """Factor on the speed of loops that are too fast to begin with, and how many speeds are tried: down to a quarter."""
-CHEAPER = 0.2
+CHEAPER = 0.1
 """Share by which a candidate is thought to be cheaper on a robot than any before it, where it was not tried there."""
 NOT_RUN = Outcome(np.full(len(TERMS), math.nan), math.nan, 0.0, False)
 """Of a run that was not made."""
