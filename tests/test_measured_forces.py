@@ -389,6 +389,7 @@ def test_what_two_joints_need_is_worked_out_once(monkeypatch: pytest.MonkeyPatch
         return evaluated(model, motions, width)
 
     monkeypatch.setattr(preflight, "inverse_dynamics", counted)
+    monkeypatch.setattr(preflight, "mistaken", lambda *given: "")
     model, own = two(0.0, np.column_stack([1.4 * WAY, 0.3 * WAY, 0.2 * WAY]), 'joint="second"')
     preflight.check(model, with_channels([own], ["meas.*"]))
     assert sorted(widths) == sorted(

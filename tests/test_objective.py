@@ -166,7 +166,7 @@ def test_the_terms_by_hand(problem: Problem, settings: eq.PidSettings, task: int
             restless = max(restless, max(q[k, j] for k in late) - min(q[k, j] for k in late))
         expected["offset"] = math.sqrt(sum((q[k, j] - r[k, j]) ** 2 for k in late for j in range(2)) / (2 * len(late)))
         for k in range(n):
-            if any(abs(q[k, j] - r[k, j]) > 0.03 for j in range(2)):
+            if any(abs(q[k, j] - r[k, j]) > problem.weights.settled for j in range(2)):
                 expected["settling"] = (k + 1) * DT
     found = problem.outcome(settings, 0, task)
     for key, value in zip(TERMS, found.terms, strict=True):

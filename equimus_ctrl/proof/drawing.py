@@ -33,7 +33,7 @@ EFFECTS: dict[Kind, tuple[int, int]] = {
     "none": (0, 0), "single": (1, 0), "pair": (2, 0), "outside": (0, 1), "all_joints": (0, 0), "triple": (3, 0),
 }  # fmt: skip
 """How many effects of each kind are in the catalogue, and how many outside it, drawn one by one."""
-RUBS = {"coulomb_friction": "frictionloss", "viscous_friction": "damping"}
+RUBS = ("coulomb_friction", "frictionloss"), ("viscous_friction", "damping")
 """What is missing at every joint where all of them rub, each with its own size, and which parameter of the joint would
 take it up."""
 PLAIN = 0.1
@@ -316,14 +316,15 @@ def friction_of_all_joints(rng: np.random.Generator, draws: Draws, real: Model) 
     joints = real.robot.joint_names
     if len(joints) < 2 or real.robot.traits.catalogue != "mjcf":
         raise ConfigError(f"{real.name}: friction in all joints is drawn of MJCF robots of two joints or more")
-    without = {law: [j for j in joints if f"{j}.{own}" not in draws.spread] for law, own in RUBS.items()}
-    if len(without["coulomb_friction"]) < 2:
+    without = [(law, [j for j in joints if f"{j}.{own}" not in draws.spread]) for law, own in RUBS]
+    (_, dry), *_ = without
+    if len(dry) < 2:
         raise ConfigError(
             f"{real.name}: its joints have dry friction already, which is estimated, so none of it is missing; for "
             "friction in all joints give a model without frictionloss"
         )
     found = []
-    for name, places in without.items():
+    for name, places in without:
         for joint in places:
             (key,) = REGISTRY[name].parameter_info()
             size = size_of(draws.table, name, key, "", joint)

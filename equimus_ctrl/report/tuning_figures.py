@@ -64,13 +64,8 @@ def convergence_figure(result: TuningResult) -> Figure:
             handles.append(Line2D([], [], marker="o", linestyle="", color=colour, label=f"{label} ({len(own)})"))
     beaten = [(t.index, min(t.evaluation.cost, high)) for t in trials if t.evaluation.beaten]
     if beaten:
-<<<<<<< HEAD
-        at, cost = np.array(beaten).T
-        axes.scatter(at, cost, s=16, facecolors="none", edgecolors=style.FAINT, zorder=2)
-=======
         places = np.array(beaten)
         axes.scatter(places[:, 0], places[:, 1], s=16, facecolors="none", edgecolors=style.FAINT, zorder=2)
->>>>>>> tune21
         label = f"not tried to the end ({len(beaten)})"
         handles.append(Line2D([], [], marker="o", linestyle="", mfc="none", color=style.FAINT, label=label))
     refused = [t.index for t in trials if not t.evaluation.within]
