@@ -242,7 +242,7 @@ def test_no_candidate_is_tried_twice() -> None:
 
 
 def narrow(values: np.ndarray) -> float:
-    """A valley across four numbers, beyond limits where the first is large."""
+    """An ill-conditioned minimum in four numbers, beyond limits where the first is large."""
     z = np.log(values / np.array([3.0, 0.5, 2.0, 8.0]))
     cost = 1 + float(z @ z) + 0.8 * float(z[0] * z[1] - z[2] * z[3])
     return cost if values[0] < 12 else 1e3 * values[0]
