@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from equimus_ctrl.diagnosis.explained_variance import explained
-from equimus_ctrl.diagnosis.force_basis import Group
+from equimus_ctrl.diagnosis.force_basis import ForceFamily
 from equimus_ctrl.diagnosis.policy import Thresholds
 from equimus_ctrl.diagnosis.residual_force import LinearisedFit, force_candidates, judged
 from equimus_ctrl.diagnosis.unexplained import select_forces
@@ -91,11 +91,11 @@ def test_of_one_trial_the_force_that_explains_most_for_its_parameters_is_the_bes
     cause = c[:, :1] / np.linalg.norm(c[:, 0])
     nothing: list[list[slice]] = []  # a single trial has no folds
     columns = [c[:, 1:2], cause, np.column_stack([cause, c[:, 2:]])]
-    forces = [Group(name, ("hip",), "time", None, (), {}) for name in ("other", "cause", "too many")]
+    forces = [ForceFamily(name, ("hip",), "time", None, (), {}) for name in ("other", "cause", "too many")]
     whitened_fit: Any = SimpleNamespace(residual=r + 30 * cause[:, 0], slopes=q, threads=1)
     at = LinearisedFit(None, whitened_fit, forces, columns, nothing, (), [], 3.0)  # type: ignore[arg-type]
     ranked = force_candidates(at)
-    assert [f.group.location for f in ranked] == ["cause", "too many", "other"]
+    assert [f.family.location for f in ranked] == ["cause", "too many", "other"]
     assert ranked[0].found.gain < ranked[1].found.gain and judged(ranked[0].found, at) > judged(ranked[1].found, at)
 
 
@@ -106,13 +106,13 @@ def test_forces_are_selected_one_beside_the_other_until_only_noise_is_left() -> 
     large, small, nothing = c[:, :2], c[:, 2:4], c[:, 4:6]
     again = large + 0.5 * c[:, 6:8]
     columns = {"nothing": nothing, "again": again, "small": small, "large": large}
-    forces = [Group(name, ("hip",), "time", None, (), {}) for name in columns]
+    forces = [ForceFamily(name, ("hip",), "time", None, (), {}) for name in columns]
     whitened_fit: Any = SimpleNamespace(residual=r + large @ [30.0, -20.0] + small @ [15.0, 10.0], slopes=q, threads=1)
     at = LinearisedFit(None, whitened_fit, forces, [*columns.values()], FOLDS, (), [], 3.0)  # type: ignore[arg-type]
     data: Any = SimpleNamespace(n=400, thresholds=Thresholds())
     selected = select_forces(data, at, 0.0)
-    assert [force.candidate.group.location for force in selected] == ["large", "small"]
-    assert [force.columns is columns[force.candidate.group.location] for force in selected] == [True, True]
+    assert [force.candidate.family.location for force in selected] == ["large", "small"]
+    assert [force.columns is columns[force.candidate.family.location] for force in selected] == [True, True]
     # One beside the other they explain what least squares of both explain.
     alone = whitened_fit.residual - q @ (q.T @ whitened_fit.residual)
     left = np.linalg.lstsq(np.column_stack([q, large, small]), whitened_fit.residual, rcond=None)[1]

@@ -22,9 +22,9 @@ from equimus_ctrl.diagnosis.force_basis import (
     AT_ONCE,
     MEMORIES,
     Axis,
-    Group,
+    ForceFamily,
     batches,
-    groups,
+    families,
     harmonics,
     responses,
 )
@@ -80,11 +80,11 @@ def along() -> Linearised:
 
 
 @lru_cache(maxsize=1)
-def everything() -> tuple[Group, ...]:
-    return tuple(groups(Model(LEG), moved()))
+def everything() -> tuple[ForceFamily, ...]:
+    return tuple(families(Model(LEG), moved()))
 
 
-def group(location: str, depends_on: str, size: int | None = None) -> Group:
+def family(location: str, depends_on: str, size: int | None = None) -> ForceFamily:
     (found,) = [
         g for g in everything() if (g.location, g.depends_on) == (location, depends_on) and size in (None, g.size)
     ]
@@ -150,11 +150,11 @@ def test_what_is_no_coordinate_is_refused() -> None:
         read("vel.hip·angle.hip")
 
 
-# --- groups ------------------------------------------------------------------------------------------------------
+# --- families ------------------------------------------------------------------------------------------------------
 
 
-def unexplained(g: Group, torques: Sequence[Array]) -> float:
-    """What is left of joint torques (n, nj) when the group's own are fitted to them, as a share."""
+def unexplained(g: ForceFamily, torques: Sequence[Array]) -> float:
+    """What is left of joint torques (n, nj) when the family's own are fitted to them, as a share."""
     nj = torques[0].shape[1]
     columns = np.concatenate([t.reshape(-1, g.size) for t in g.torques(moved())])
     wanted = np.concatenate([t.reshape(-1) for t in torques])
@@ -228,18 +228,18 @@ def physics(kind: str) -> list[Array]:
     ],
 )
 def test_each_group_can_express_its_physics(kind: str, location: str, depends_on: str, size: int, most: float) -> None:
-    own = unexplained(group(location, depends_on, size), physics(kind))
+    own = unexplained(family(location, depends_on, size), physics(kind))
     assert own < most
-    other = group("hip" if location == "knee" else "knee", "time")
+    other = family("hip" if location == "knee" else "knee", "time")
     assert unexplained(other, physics(kind)) > 0.1
 
 
 def test_groups_name_the_joints_they_act_on_and_each_is_there_once() -> None:
     names = [(g.location, g.depends_on, g.size) for g in everything()]
     assert len(set(names)) == len(names)
-    assert group("maa", "cmd.maa").joints == ("hip",)
-    assert group("baa", "cmd.baa").joints == ("hip", "knee")
-    assert group("hip+knee", "pos.hip·pos.knee").joints == ("hip", "knee")
+    assert family("maa", "cmd.maa").joints == ("hip",)
+    assert family("baa", "cmd.baa").joints == ("hip", "knee")
+    assert family("hip+knee", "pos.hip·pos.knee").joints == ("hip", "knee")
     for g in everything():
         for torque in g.torques(moved()):
             acted = [LEG.joint_names[j] for j in range(2) if torque[:, j].any()]
@@ -247,13 +247,13 @@ def test_groups_name_the_joints_they_act_on_and_each_is_there_once() -> None:
 
 
 def test_a_curve_is_the_function_without_its_factor() -> None:
-    g = group("hip", "pos.hip·vel.hip")
+    g = family("hip", "pos.hip·vel.hip")
     wanted = (centres(g.axes[0]) - 1.0) * 0.3
     x = np.linspace(*g.axes[0].range, 30)
     assert (g.factor, g.axes[0].coordinate) == (Coordinate("vel", "hip"), Coordinate("pos", "hip"))
     assert g.axes[0].unit == "rad"
     assert g.curve(wanted, x) == pytest.approx((x - 1.0) * 0.3)
-    both = group("knee", "pos.knee·pos.hip")
+    both = family("knee", "pos.knee·pos.hip")
     a, b = both.axes
     assert (a.coordinate, b.coordinate) == read("pos.knee·pos.hip")
     coefficients = np.outer(centres(a), centres(b)).ravel()
@@ -263,7 +263,7 @@ def test_a_curve_is_the_function_without_its_factor() -> None:
 
 
 def test_a_path_follows_the_length_until_it_slips() -> None:
-    g = group("baa", "path.baa")
+    g = family("baa", "path.baa")
     assert not g.axes
     for columns, m in zip(g.forces["actuator", 1], moved(), strict=True):
         way = np.diff(m.between.length[:, 1])
@@ -280,7 +280,7 @@ def test_a_path_follows_the_length_until_it_slips() -> None:
 
 
 def test_a_memory_is_a_spring_that_relaxes() -> None:
-    g = group("baa", "past.baa")
+    g = family("baa", "past.baa")
     for columns, m in zip(g.forces["actuator", 1], moved(), strict=True):
         length, time = m.between.length[:, 1], m.between.time
         for column, constant in zip(columns.T, MEMORIES, strict=True):
@@ -295,7 +295,7 @@ def test_other_robots_have_groups_too() -> None:
     trial = Trial("t", times, np.full((60, 3), 5e3), np.zeros(3), 0.0, np.array([0.2, 0.1, 0.1]), times)
     model = Model(robot)
     one = motion(model, trial)
-    found = groups(model, [one])
+    found = families(model, [one])
     assert {g.location for g in found} >= {*robot.joint_names, *robot.actuator_names}
     assert all(np.all(np.isfinite(g.torques([one])[0])) for g in found)
     assert len(AT_JOINTS) * 3 + len(AT_ACTUATORS) * 3 <= len(found)
@@ -389,7 +389,7 @@ def check_concealed(outside: Effect, location: str, depends_on: str) -> None:
     columns = np.hstack(nuisances)
     basis, strength, _ = np.linalg.svd(columns / np.linalg.norm(columns, axis=0), full_matrices=False)
     beside = Nuisance.of(basis[:, strength > 1e-6 * strength[0]])
-    candidates = [*groups(found.model, motions), *harmonics(found.model, motions, np.arange(0.25, 3.1, 0.25))]
+    candidates = [*families(found.model, motions), *harmonics(found.model, motions, np.arange(0.25, 3.1, 0.25))]
     scores = []
     answers = {
         g: [whole[..., end - g.size : end] for whole in changes]

@@ -19,7 +19,7 @@ from equimus_ctrl.diagnosis.confirmation import _another
 from equimus_ctrl.diagnosis.confounding import generalises, restates
 from equimus_ctrl.diagnosis.coordinates import read
 from equimus_ctrl.diagnosis.fitting import Data, Fitted
-from equimus_ctrl.diagnosis.force_basis import Group
+from equimus_ctrl.diagnosis.force_basis import ForceFamily
 from equimus_ctrl.diagnosis.holdout import split
 from equimus_ctrl.diagnosis.hypothesis import Candidate, Part, default_free_parameters
 from equimus_ctrl.diagnosis.intervals import longest_interval
@@ -223,43 +223,43 @@ def test_a_limit_that_the_trial_held_out_never_reaches_is_named() -> None:
 
 
 def test_a_push_over_what_a_law_depends_on_restates_it() -> None:
-    def group(location: str, joint: str, told: str) -> Group:
-        return Group(location, (joint,), told, "", (), {})
+    def family(location: str, joint: str, told: str) -> ForceFamily:
+        return ForceFamily(location, (joint,), told, "", (), {})
 
     def part(label: str, law: type[Effect]) -> tuple[Part, ...]:
         return (Part(Candidate(law, (label,), ({},)), {}),)
 
     area, cubic, creep = part("maa", NarrowingArea), part("maa", NonlinearStiffness), part("maa", Creep)
-    by_length, shared = group("maa", "hip", "len.maa"), group("maa", "hip", "len.maa·cmd.maa")
+    by_length, shared = family("maa", "hip", "len.maa"), family("maa", "hip", "len.maa·cmd.maa")
     assert restates(shared, area, False) == "same" and not restates(by_length, area, False)
     assert restates(by_length, cubic, False) == "same" and not restates(shared, cubic, False)
-    assert restates(group("maa", "hip", "past.maa"), creep, False) == "same"
-    assert not restates(group("baa", "knee", "len.baa·cmd.baa"), area, False)
+    assert restates(family("maa", "hip", "past.maa"), creep, False) == "same"
+    assert not restates(family("baa", "knee", "len.baa·cmd.baa"), area, False)
     limit = part("drive", TorqueSaturation)
-    assert restates(group("drive", "hinge", "cmd.drive"), limit, True) == "same"
-    assert not restates(group("hinge", "hinge", "pos.hinge"), limit, True)
+    assert restates(family("drive", "hinge", "cmd.drive"), limit, True) == "same"
+    assert not restates(family("hinge", "hinge", "pos.hinge"), limit, True)
     dry = part("hinge", CoulombFriction)
-    assert restates(group("hinge", "hinge", "vel.hinge"), dry, True) == "same"
-    assert restates(group("hinge", "hinge", "pos.hinge·sign(vel.hinge)"), dry, True) == "more"
-    assert not restates(group("hinge", "hinge", "time"), dry, True)
-    assert restates(group("hinge", "hinge", "time"), part("hinge", ConstantForce), True) == "more"
-    assert not restates(group("hinge", "hinge", "time"), part("hinge", TransportDelay), True)
-    surface = group("hinge", "hinge", "pos.hinge·vel.hinge")
+    assert restates(family("hinge", "hinge", "vel.hinge"), dry, True) == "same"
+    assert restates(family("hinge", "hinge", "pos.hinge·sign(vel.hinge)"), dry, True) == "more"
+    assert not restates(family("hinge", "hinge", "time"), dry, True)
+    assert restates(family("hinge", "hinge", "time"), part("hinge", ConstantForce), True) == "more"
+    assert not restates(family("hinge", "hinge", "time"), part("hinge", TransportDelay), True)
+    surface = family("hinge", "hinge", "pos.hinge·vel.hinge")
     assert restates(surface, dry, True) == "more"
     assert restates(surface, (*dry, *part("hinge", ParallelSpring)), True) == "same"
 
 
 def test_a_force_that_is_a_laws_own_coordinate_times_a_function_of_another_generalises_it() -> None:
-    def group(factor: str, *over: str, joint: str = "hinge") -> Group:
+    def family(factor: str, *over: str, joint: str = "hinge") -> ForceFamily:
         by = read(factor)[0] if factor else None
-        return Group(joint, (joint,), read("·".join([*over, *([factor] if factor else [])])), by, (), {})
+        return ForceFamily(joint, (joint,), read("·".join([*over, *([factor] if factor else [])])), by, (), {})
 
     damping, spring = (Part(Candidate(law, ("hinge",), ({},)), {}) for law in (ViscousFriction, ParallelSpring))
-    of_the_angle = group("vel.hinge", "pos.hinge")
-    assert generalises(of_the_angle, damping) and generalises(group("sign(vel.hinge)", "pos.hinge"), damping)
+    of_the_angle = family("vel.hinge", "pos.hinge")
+    assert generalises(of_the_angle, damping) and generalises(family("sign(vel.hinge)", "pos.hinge"), damping)
     assert not generalises(of_the_angle, spring)  # the spring is not what depends on the speed
-    assert not generalises(group("", "vel.hinge"), damping)  # another curve over the speed
-    assert not generalises(group("vel.other", "pos.other", joint="other"), damping)
+    assert not generalises(family("", "vel.hinge"), damping)  # another curve over the speed
+    assert not generalises(family("vel.other", "pos.other", joint="other"), damping)
 
 
 def test_a_fit_goes_on_with_the_derivatives_of_an_earlier_ones_end() -> None:

@@ -18,7 +18,7 @@ from equimus_ctrl.diagnosis.candidates import candidates
 from equimus_ctrl.diagnosis.confounding import restates
 from equimus_ctrl.diagnosis.coordinates import TIME, Coordinate
 from equimus_ctrl.diagnosis.fitting import Data
-from equimus_ctrl.diagnosis.force_basis import Group
+from equimus_ctrl.diagnosis.force_basis import ForceFamily
 from equimus_ctrl.diagnosis.holdout import split
 from equimus_ctrl.diagnosis.hypothesis import Candidate, Part, default_free_parameters
 from equimus_ctrl.diagnosis.place_excitation import excitation_of
@@ -267,7 +267,7 @@ def test_damping_over_time_that_is_left_restates_a_drift() -> None:
         return Part(Candidate(law, ("hinge",), (values,)), values)
 
     speed = Coordinate("vel", "hinge")
-    left = Group("hinge", ("hinge",), (TIME, speed), speed, (), {})
+    left = ForceFamily("hinge", ("hinge",), (TIME, speed), speed, (), {})
     drifts, damped = part(FrictionDrift, {"slope": 0.1}), part(ViscousFriction, {"damping": 0.1})
     assert restates(left, (drifts,), True) == "same"
     assert restates(left, (damped,), True) == "more"

@@ -14,7 +14,7 @@ from equimus_ctrl.diagnosis.fitting import Fitted
 from equimus_ctrl.diagnosis.group_splits import own_in_each_group
 from equimus_ctrl.diagnosis.hypothesis import Candidate, Part
 from equimus_ctrl.diagnosis.policy import SearchSettings
-from equimus_ctrl.diagnosis.screening import Screened, _rescaled
+from equimus_ctrl.diagnosis.screening import Screened, ScreenedGains, _rescaled
 from equimus_ctrl.diagnosis.search import Search
 from equimus_ctrl.diagnosis.search_state import Proposal, SearchHistory
 from equimus_ctrl.effects import REGISTRY
@@ -76,7 +76,7 @@ def test_the_best_that_stands_for_no_other_parameters_is_converged_too() -> None
 
 @pytest.mark.parametrize(("deviance", "further"), [(4000.0, True), (4400.0, False)])
 def test_what_cannot_come_near_its_rival_is_not_fitted_further(deviance: float, further: bool) -> None:
-    """The rival gains 3000, so it has to gain 0.7·3000 − 50 = 2050; at most three times what a few steps gain."""
+    """The alternative gains 3000, so it has to gain 0.7·3000 − 50 = 2050; at most three times what a few steps gain."""
     search = OnPaper(Known({(): 5000.0}))
     asked: list[float] = []
 
@@ -146,7 +146,7 @@ def test_beside_other_effects_a_fit_begins_on_the_way_too() -> None:
         of = replace(simple, hypothesis=others, fit=SimpleNamespace(theta=np.array([2.0, 3.0])))  # type: ignore[arg-type]
         change = np.array([0.4, -0.8, *(0.0 for _ in others), 0.1])
         whole = np.append(before, 0.0) + change
-        screened = Screened(part.candidate, (*others, part), whole, (1.0, 1.0), (), np.zeros(0))
+        screened = Screened(part.candidate, (*others, part), whole, ScreenedGains(1.0, 1.0), (), np.zeros(0))
         expected = [np.append(before, 0.0) + share * change for share in shares]
         expected += [np.append(before, 0.25 * 0.1)] if others else []
         assert np.array(screened.begins(data, of)) == pytest.approx(np.array(expected))
@@ -161,7 +161,12 @@ def test_sizes_that_fade_together_shrink_together_on_the_way() -> None:
     other = of.hypothesis[0]
     whole = np.array([1e3, 0.01, 0.012, 0.1])
     screened = Screened(
-        candidate, (other, Part(candidate, VALUES["stribeck_friction"])), whole, (1.0,), (), np.zeros(0)
+        candidate,
+        (other, Part(candidate, VALUES["stribeck_friction"])),
+        whole,
+        ScreenedGains(1.0, 1.0),
+        (),
+        np.zeros(0),
     )
     half = screened.begins(data, of)[1]
     assert half == pytest.approx([1e3, 0.005, 0.006, 0.1])

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
     from rich.table import Table
 
-    from equimus_ctrl.diagnosis.units import Reading
+    from equimus_ctrl.diagnosis.display_units import Reading
     from equimus_ctrl.models.model import Model
     from equimus_ctrl.recordings import Summary
 
@@ -138,12 +138,12 @@ def _table(summaries: Sequence[Summary], robot: Model) -> Table:
     from rich.box import SIMPLE_HEAD
     from rich.table import Table
 
-    from equimus_ctrl.diagnosis import units
+    from equimus_ctrl.diagnosis import display_units
 
     table = Table(title=f"{len(summaries)} trials", box=SIMPLE_HEAD, padding=(0, 1), title_justify="left")
     table.add_column("trial", overflow="fold")
-    commands = {name: units.command(robot, name) for name in summaries[0].command_pa}
-    joints = {name: units.position(robot, name) for name in summaries[0].position_rad}
+    commands = {name: display_units.command(robot, name) for name in summaries[0].command_pa}
+    joints = {name: display_units.position(robot, name) for name in summaries[0].position_rad}
     named = [f"{name}\n{own.unit}" for columns in (commands, joints) for name, own in columns.items()]
     for heading in ("time\ns", "rate\nHz", "jitter\nms", *named):
         table.add_column(heading, justify="right", no_wrap=True)

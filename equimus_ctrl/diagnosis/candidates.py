@@ -28,8 +28,8 @@ def candidates(
 ) -> list[Candidate]:
     """All effects at all places of a robot that recordings could show.
 
-    A law of all joints comes twice: with the same parameters at each, and, of a robot with motors, with its own at
-    each: what is built alike ails alike, and what is not may still ail of the same.
+    A law of all joints comes twice: with the same parameters at each, for joints built alike, and, of a robot that
+    nothing holds in place (``RobotTraits.held_in_place``), with its own at each, for joints that are not.
     """
     robot, excitation = model.robot, excitation_of(model, segments)
     least_time, most_time = _shortest_delay(segments), _longest_delay(model, segments)

@@ -10,7 +10,7 @@ from typing import Literal
 import numpy as np
 
 from equimus_ctrl.diagnosis.explained_variance import explained
-from equimus_ctrl.diagnosis.force_basis import Group
+from equimus_ctrl.diagnosis.force_basis import ForceFamily
 from equimus_ctrl.diagnosis.hypothesis import Hypothesis, Part
 from equimus_ctrl.diagnosis.policy import Thresholds
 from equimus_ctrl.diagnosis.residual_force import LinearisedFit, judged
@@ -24,60 +24,60 @@ COORDINATES = {
 """What a place's coordinates are, in the words of the laws there."""
 
 
-def same_place(group: Group, part: Part, drives_at_joints: bool) -> bool:
+def same_place(family: ForceFamily, part: Part, drives_at_joints: bool) -> bool:
     """Whether a residual force acts where a part does.
 
     Args:
-        group: the force.
+        family: the force.
         part: of a hypothesis.
         drives_at_joints: whether a force counts that acts at none but the part's joints, wherever it comes from.
     """
     places = set(part.candidate.locations)
-    return group.location in places or (drives_at_joints and set(group.joints) <= places)
+    return family.location in places or (drives_at_joints and set(family.joints) <= places)
 
 
-def coordinate_relation(part: Part, group: Group) -> Literal["none", "subset", "equal"]:
+def coordinate_relation(part: Part, family: ForceFamily) -> Literal["none", "subset", "equal"]:
     """How the coordinates of a part's law, see ``Effect.depends``, relate to those of a residual force."""
-    law, force = part.candidate.effect.depends(), _quantities(group)
+    law, force = part.candidate.effect.depends(), _quantities(family)
     if law is None:
         return "none"
     return "equal" if law == force else "subset" if law < force else "none"
 
 
-def restates(group: Group, hypothesis: Hypothesis, drives_at_joints: bool) -> Literal["", "same", "more"]:
+def restates(family: ForceFamily, hypothesis: Hypothesis, drives_at_joints: bool) -> Literal["", "same", "more"]:
     """Whether a residual force restates a part of a hypothesis: at its place, over the coordinates of its law.
 
     A curve over the speed is friction of the same joint. A share of the pressure that depends on the length is a
     length-dependent area. Such forces are no simpler explanations.
 
     Args:
-        group: the force.
+        family: the force.
         hypothesis: with the parts.
         drives_at_joints: whether drives act at joints, with a fixed gear. A force there that depends on more than the
             law says "more"; one that depends on what the laws of several parts there depend on together says "same".
     """
-    here = [part for part in hypothesis if same_place(group, part, drives_at_joints)]
-    if any(coordinate_relation(part, group) == "equal" for part in here):
+    here = [part for part in hypothesis if same_place(family, part, drives_at_joints)]
+    if any(coordinate_relation(part, family) == "equal" for part in here):
         return "same"
-    contained = [part for part in here if coordinate_relation(part, group) == "subset"]
+    contained = [part for part in here if coordinate_relation(part, family) == "subset"]
     if not drives_at_joints or not contained:
         return ""
     laws = [part.candidate.effect.depends() or set() for part in contained]
-    return "same" if set().union(*laws) == _quantities(group) else "more"
+    return "same" if set().union(*laws) == _quantities(family) else "more"
 
 
-def generalises(group: Group, part: Part) -> bool:
+def generalises(family: ForceFamily, part: Part) -> bool:
     """Whether a residual force at a part's joint is what its law depends on, times a function of something else."""
-    if group.factor is None or not same_place(group, part, drives_at_joints=True):
+    if family.factor is None or not same_place(family, part, drives_at_joints=True):
         return False
     law = part.candidate.effect.depends() or set()
-    return COORDINATES[group.factor.kind] in law and coordinate_relation(part, group) == "subset"
+    return COORDINATES[family.factor.kind] in law and coordinate_relation(part, family) == "subset"
 
 
-def contains_law(group: Group, hypothesis: Hypothesis) -> bool:
+def contains_law(family: ForceFamily, hypothesis: Hypothesis) -> bool:
     """Whether a residual force at a part's joints depends on all that the part's law does: so it can do the same."""
     return any(
-        same_place(group, part, drives_at_joints=True) and coordinate_relation(part, group) != "none"
+        same_place(family, part, drives_at_joints=True) and coordinate_relation(part, family) != "none"
         for part in hypothesis
     )
 
@@ -172,9 +172,9 @@ class _Removal:
         hypothesis = tuple(self.at.fitted.hypothesis[k] for k in places)
         gains = [
             self._beside(columns, without, kept, rise)
-            for group, columns in zip(self.at.groups, self.at.columns, strict=True)
+            for family, columns in zip(self.at.families, self.at.columns, strict=True)
             # A force over more coordinates than the law contains the law: it would always explain as much.
-            if not contains_law(group, hypothesis)
+            if not contains_law(family, hypothesis)
         ]
         return min(gains, default=np.inf)
 
@@ -200,6 +200,6 @@ def _replaces_effect(more: float, rank: int, fall: float, least: Callable[[Thres
     return more > t.residual_gain + t.residual_price * rank and fall >= least(t)
 
 
-def _quantities(group: Group) -> set[str]:
+def _quantities(family: ForceFamily) -> set[str]:
     """What a residual force depends on, in the words of laws."""
-    return {COORDINATES[coordinate.kind] for coordinate in group.coordinates}
+    return {COORDINATES[coordinate.kind] for coordinate in family.coordinates}

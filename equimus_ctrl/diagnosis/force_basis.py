@@ -1,8 +1,8 @@
 """Basis functions of unstructured residual forces, and the coordinates that these may depend on.
 
-A group is one place, the coordinates that the force there depends on, and the basis functions of that dependence,
+A family is one place, the coordinates that the force there depends on, and the basis functions of that dependence,
 evaluated along a model's own motions. The functions are cubic B-splines unless said otherwise, with more knots where
-the motions are more often. Groups are not orthogonal to each other, nor to the model's own parameters.
+the motions are more often. Families are not orthogonal to each other, nor to the model's own parameters.
 """
 
 from __future__ import annotations
@@ -23,14 +23,15 @@ from equimus_ctrl.models.model import Model
 from equimus_ctrl.types import Array, frozen_array
 
 FUNCTIONS = 8
-"""Basis functions along one coordinate,"""
+"""Basis functions of a curve over one coordinate."""
 SPOTS = 16
-"""where dry friction has spots,"""
+"""Basis functions of dry friction over the angle, which may differ from spot to spot."""
 FINE = 40
-"""with more detail than that,"""
+"""Basis functions of the detailed curve over a joint's own angle."""
 SURFACE = 5
-"""and along each of two coordinates."""
+"""Basis functions along each coordinate of a surface over two."""
 DEGREE = 3
+"""Of the splines."""
 SLOW = 1e-3
 """Rate over which dry friction turns [rad/s]; the motions are a model's, without noise."""
 AT_ONCE = 512
@@ -84,7 +85,7 @@ class Axis:
 
 
 @dataclass(frozen=True, eq=False)
-class Group:
+class ForceFamily:
     """One place and what an unstructured force there depends on.
 
     Attributes:
@@ -134,7 +135,7 @@ class Group:
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """A model and its motions, as the makers of groups see them."""
+    """A model and its motions, as the makers of families see them."""
 
     model: Model
     motions: tuple[Motion, ...]
@@ -184,14 +185,14 @@ class Scene:
         reach = np.max([np.abs(m.arm[:, actuator]).max(axis=0) for m in self.motions], axis=0)
         return tuple(name for name, arm in zip(self.joints, reach, strict=True) if arm > 1e-6 * reach.max())
 
-    def group(
+    def family(
         self,
         place: tuple[str, int],
         coordinates: Sequence[Coordinate],
         factor: Coordinate | None = None,
         by: Sequence[Array] | None = None,
         functions: int | None = None,
-    ) -> Group:
+    ) -> ForceFamily:
         """Functions of coordinates, times a factor, at one place.
 
         Args:
@@ -213,10 +214,10 @@ class Scene:
         names = {"joint": self.joints, "actuator": self.actuators}[kind]
         joints = (names[index],) if kind == "joint" else self.acts_on(index)
         over = (*coordinates, factor) if factor else coordinates
-        return Group(names[index], joints, over, factor, tuple(a for a, _ in axes), {place: tuple(columns)})
+        return ForceFamily(names[index], joints, over, factor, tuple(a for a, _ in axes), {place: tuple(columns)})
 
 
-Maker = Callable[[Scene, int], Iterator[Group]]
+Maker = Callable[[Scene, int], Iterator[ForceFamily]]
 
 
 def _product(a: Array, b: Array) -> Array:
@@ -224,31 +225,31 @@ def _product(a: Array, b: Array) -> Array:
     return np.asarray((a[:, :, None] * b[:, None, :]).reshape(len(a), -1))
 
 
-def _own_angle(s: Scene, j: int) -> Iterator[Group]:
-    yield s.group(("joint", j), [Coordinate("pos", s.joints[j])])
+def _own_angle(s: Scene, j: int) -> Iterator[ForceFamily]:
+    yield s.family(("joint", j), [Coordinate("pos", s.joints[j])])
 
 
-def _fine_angle(s: Scene, j: int) -> Iterator[Group]:
-    yield s.group(("joint", j), [Coordinate("pos", s.joints[j])], functions=FINE)
+def _fine_angle(s: Scene, j: int) -> Iterator[ForceFamily]:
+    yield s.family(("joint", j), [Coordinate("pos", s.joints[j])], functions=FINE)
 
 
-def _own_speed(s: Scene, j: int) -> Iterator[Group]:
-    yield s.group(("joint", j), [Coordinate("vel", s.joints[j])])
+def _own_speed(s: Scene, j: int) -> Iterator[ForceFamily]:
+    yield s.family(("joint", j), [Coordinate("vel", s.joints[j])])
 
 
-def _other_angles(s: Scene, j: int) -> Iterator[Group]:
+def _other_angles(s: Scene, j: int) -> Iterator[ForceFamily]:
     for other in s.joints:
         if other != s.joints[j]:
-            yield s.group(("joint", j), [Coordinate("pos", other)])
+            yield s.family(("joint", j), [Coordinate("pos", other)])
 
 
-def _both_angles(s: Scene, j: int) -> Iterator[Group]:
+def _both_angles(s: Scene, j: int) -> Iterator[ForceFamily]:
     for other in s.joints:
         if other != s.joints[j]:
-            yield s.group(("joint", j), [Coordinate("pos", s.joints[j]), Coordinate("pos", other)])
+            yield s.family(("joint", j), [Coordinate("pos", s.joints[j]), Coordinate("pos", other)])
 
 
-def _shared_energy(s: Scene, j: int) -> Iterator[Group]:
+def _shared_energy(s: Scene, j: int) -> Iterator[ForceFamily]:
     """Springs across two joints: −∂V/∂q at both, V a surface over their angles."""
     for other in range(j + 1, len(s.joints)):
         names = s.joints[j], s.joints[other]
@@ -257,65 +258,65 @@ def _shared_energy(s: Scene, j: int) -> Iterator[Group]:
             ("joint", j): tuple(-_product(one.slopes(a), two.basis(b)) for a, b in zip(first, second, strict=True)),
             ("joint", other): tuple(-_product(one.basis(a), two.slopes(b)) for a, b in zip(first, second, strict=True)),
         }
-        yield Group("+".join(names), names, (one.coordinate, two.coordinate), None, (one, two), forces)
+        yield ForceFamily("+".join(names), names, (one.coordinate, two.coordinate), None, (one, two), forces)
 
 
-def _angle_damping(s: Scene, j: int) -> Iterator[Group]:
+def _angle_damping(s: Scene, j: int) -> Iterator[ForceFamily]:
     speed = Coordinate("vel", s.joints[j])
-    yield s.group(("joint", j), [Coordinate("pos", s.joints[j])], speed, s.axis(speed)[1])
+    yield s.family(("joint", j), [Coordinate("pos", s.joints[j])], speed, s.axis(speed)[1])
 
 
-def _angle_friction(s: Scene, j: int) -> Iterator[Group]:
+def _angle_friction(s: Scene, j: int) -> Iterator[ForceFamily]:
     name = s.joints[j]
     by = [np.tanh(v / SLOW) for v in s.axis(Coordinate("vel", name))[1]]
-    yield s.group(("joint", j), [Coordinate("pos", name)], Coordinate("vel", name, sign=True), by, SPOTS)
+    yield s.family(("joint", j), [Coordinate("pos", name)], Coordinate("vel", name, sign=True), by, SPOTS)
 
 
-def _joint_time(s: Scene, j: int) -> Iterator[Group]:
-    yield s.group(("joint", j), [TIME])
+def _joint_time(s: Scene, j: int) -> Iterator[ForceFamily]:
+    yield s.family(("joint", j), [TIME])
 
 
-def _time_damping(s: Scene, j: int) -> Iterator[Group]:
+def _time_damping(s: Scene, j: int) -> Iterator[ForceFamily]:
     """Damping that drifts while a trial lasts, as of a drive that warms up."""
     speed = Coordinate("vel", s.joints[j])
-    yield s.group(("joint", j), [TIME], speed, s.axis(speed)[1])
+    yield s.family(("joint", j), [TIME], speed, s.axis(speed)[1])
 
 
-def _own_pressure(s: Scene, a: int) -> Iterator[Group]:
-    yield s.group(("actuator", a), [Coordinate("cmd", s.actuators[a])])
+def _own_pressure(s: Scene, a: int) -> Iterator[ForceFamily]:
+    yield s.family(("actuator", a), [Coordinate("cmd", s.actuators[a])])
 
 
-def _own_length(s: Scene, a: int) -> Iterator[Group]:
-    yield s.group(("actuator", a), [Coordinate("len", s.actuators[a])])
+def _own_length(s: Scene, a: int) -> Iterator[ForceFamily]:
+    yield s.family(("actuator", a), [Coordinate("len", s.actuators[a])])
 
 
-def _own_rate(s: Scene, a: int) -> Iterator[Group]:
-    yield s.group(("actuator", a), [Coordinate("rate", s.actuators[a])])
+def _own_rate(s: Scene, a: int) -> Iterator[ForceFamily]:
+    yield s.family(("actuator", a), [Coordinate("rate", s.actuators[a])])
 
 
-def _pressure_damping(s: Scene, a: int) -> Iterator[Group]:
+def _pressure_damping(s: Scene, a: int) -> Iterator[ForceFamily]:
     rate = Coordinate("rate", s.actuators[a])
-    yield s.group(("actuator", a), [Coordinate("cmd", s.actuators[a])], rate, s.axis(rate)[1])
+    yield s.family(("actuator", a), [Coordinate("cmd", s.actuators[a])], rate, s.axis(rate)[1])
 
 
-def _pressure_time(s: Scene, a: int) -> Iterator[Group]:
+def _pressure_time(s: Scene, a: int) -> Iterator[ForceFamily]:
     command = Coordinate("cmd", s.actuators[a])
-    yield s.group(("actuator", a), [TIME], command, s.axis(command)[1])
+    yield s.family(("actuator", a), [TIME], command, s.axis(command)[1])
 
 
-def _stretch_time(s: Scene, a: int) -> Iterator[Group]:
+def _stretch_time(s: Scene, a: int) -> Iterator[ForceFamily]:
     length = Coordinate("len", s.actuators[a])
     rest = s.model.morphology.actuators[a].rest_length
-    yield s.group(("actuator", a), [TIME], length, [x - rest for x in s.axis(length)[1]])
+    yield s.family(("actuator", a), [TIME], length, [x - rest for x in s.axis(length)[1]])
 
 
-def _other_pressures(s: Scene, a: int) -> Iterator[Group]:
+def _other_pressures(s: Scene, a: int) -> Iterator[ForceFamily]:
     for other in s.actuators:
         if other != s.actuators[a]:
-            yield s.group(("actuator", a), [Coordinate("cmd", other)])
+            yield s.family(("actuator", a), [Coordinate("cmd", other)])
 
 
-def _exchange(s: Scene, a: int) -> Iterator[Group]:
+def _exchange(s: Scene, a: int) -> Iterator[ForceFamily]:
     """Pressure that one actuator loses to another, by their difference."""
     for other in range(a + 1, len(s.actuators)):
         names = s.actuators[a], s.actuators[other]
@@ -330,15 +331,15 @@ def _exchange(s: Scene, a: int) -> Iterator[Group]:
         }
         reached = {*s.acts_on(a), *s.acts_on(other)}
         joints = tuple(name for name in s.joints if name in reached)
-        yield Group("+".join(names), joints, [axis.coordinate], None, (axis,), forces)
+        yield ForceFamily("+".join(names), joints, [axis.coordinate], None, (axis,), forces)
 
 
-def _pressure_length(s: Scene, a: int) -> Iterator[Group]:
+def _pressure_length(s: Scene, a: int) -> Iterator[ForceFamily]:
     command = Coordinate("cmd", s.actuators[a])
-    yield s.group(("actuator", a), [Coordinate("len", s.actuators[a])], command, s.axis(command)[1])
+    yield s.family(("actuator", a), [Coordinate("len", s.actuators[a])], command, s.axis(command)[1])
 
 
-def _path(s: Scene, a: int) -> Iterator[Group]:
+def _path(s: Scene, a: int) -> Iterator[ForceFamily]:
     """Elements that slip after a way of their own (Prandtl and Ishlinskii): any hysteresis without rate."""
     name = s.actuators[a]
     _, lengths = s.axis(Coordinate("len", name))
@@ -347,7 +348,7 @@ def _path(s: Scene, a: int) -> Iterator[Group]:
     columns = []
     for x in lengths:
         columns.append(_slipped(x, widths) / widths)
-    yield Group(name, s.acts_on(a), [Coordinate("path", name)], None, (), {("actuator", a): tuple(columns)})
+    yield ForceFamily(name, s.acts_on(a), [Coordinate("path", name)], None, (), {("actuator", a): tuple(columns)})
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -370,7 +371,7 @@ def _relaxed(x: Array, kept: Array) -> Array:
     return rows
 
 
-def _memory(s: Scene, a: int) -> Iterator[Group]:
+def _memory(s: Scene, a: int) -> Iterator[ForceFamily]:
     """Springs that relax, each with a time constant of its own: any linear viscoelasticity."""
     name = s.actuators[a]
     _, lengths = s.axis(Coordinate("len", name))
@@ -378,7 +379,7 @@ def _memory(s: Scene, a: int) -> Iterator[Group]:
     for x, motion in zip(lengths, s.motions, strict=True):
         step = np.diff(motion.between.time, prepend=motion.between.time[0])
         columns.append(_relaxed(x, np.exp(-step[:, None] / np.array(MEMORIES))))
-    yield Group(name, s.acts_on(a), [Coordinate("past", name)], None, (), {("actuator", a): tuple(columns)})
+    yield ForceFamily(name, s.acts_on(a), [Coordinate("past", name)], None, (), {("actuator", a): tuple(columns)})
 
 
 AT_JOINTS: dict[str, Maker] = {
@@ -406,13 +407,13 @@ AT_ACTUATORS: dict[str, Maker] = {
     "path": _path,
     "memory": _memory,
 }
-"""What groups there are: a new kind is one more function here."""
+"""What families there are: a new kind is one more function here."""
 OF_DRIVES = ("own pressure", "damping by pressure")
 """Those of drives that are where their joints are: their commands stand in the place of pressures."""
 
 
-def groups(model: Model, motions: Sequence[Motion]) -> list[Group]:
-    """All groups of both tables at every joint and actuator.
+def families(model: Model, motions: Sequence[Motion]) -> list[ForceFamily]:
+    """All families of both tables at every joint and actuator.
 
     Args:
         model: what moves.
@@ -423,19 +424,19 @@ def groups(model: Model, motions: Sequence[Motion]) -> list[Group]:
     at_actuators = AT_ACTUATORS if along else {kind: AT_ACTUATORS[kind] for kind in OF_DRIVES}
     tables = ((len(scene.joints), AT_JOINTS), (len(scene.actuators), at_actuators))
     return [
-        group
+        family
         for count, table in tables
         for index in range(count)
         for make in table.values()
-        for group in make(scene, index)
+        for family in make(scene, index)
     ]
 
 
-def batches(groups: Sequence[Group]) -> Iterator[list[Group]]:
-    """Some groups at a time, whose responses are worked out together: many columns take hardly longer than a few."""
-    batch: list[Group] = []
-    for group in groups:
-        batch.append(group)
+def batches(families: Sequence[ForceFamily]) -> Iterator[list[ForceFamily]]:
+    """Some families at a time, whose responses are worked out together: many columns take hardly longer than a few."""
+    batch: list[ForceFamily] = []
+    for family in families:
+        batch.append(family)
         if sum(own.size for own in batch) >= AT_ONCE:
             yield batch
             batch = []
@@ -443,13 +444,13 @@ def batches(groups: Sequence[Group]) -> Iterator[list[Group]]:
         yield batch
 
 
-def torques(groups: Sequence[Group], motions: Sequence[Motion]) -> list[Array]:
-    """For each trial (m − 1, nj, k) the joint torques of all functions of some groups [N·m]."""
-    nj, ends = motions[0].position.shape[1], np.cumsum([group.size for group in groups])
+def torques(families: Sequence[ForceFamily], motions: Sequence[Motion]) -> list[Array]:
+    """For each trial (m − 1, nj, k) the joint torques of all functions of some families [N·m]."""
+    nj, ends = motions[0].position.shape[1], np.cumsum([family.size for family in families])
     answers = [np.zeros((len(motion.between.time), nj, int(ends[-1]))) for motion in motions]
-    for group, end in zip(groups, ends, strict=True):
-        own = slice(int(end) - group.size, int(end))
-        for (kind, index), columns in group.forces.items():
+    for family, end in zip(families, ends, strict=True):
+        own = slice(int(end) - family.size, int(end))
+        for (kind, index), columns in family.forces.items():
             for torque, motion, force in zip(answers, motions, columns, strict=True):
                 if kind == "joint":
                     torque[:, index, own] += force
@@ -458,12 +459,12 @@ def torques(groups: Sequence[Group], motions: Sequence[Motion]) -> list[Array]:
     return answers
 
 
-def responses(linearised: ForceResponse, groups: Sequence[Group]) -> list[Array]:
-    """For each trial (m, nj, k) the change of the measured angles by all functions of some groups."""
-    return linearised.response(torques(groups, linearised.motions))
+def responses(linearised: ForceResponse, families: Sequence[ForceFamily]) -> list[Array]:
+    """For each trial (m, nj, k) the change of the measured angles by all functions of some families."""
+    return linearised.response(torques(families, linearised.motions))
 
 
-def harmonics(model: Model, motions: Sequence[Motion], frequencies: Sequence[float]) -> list[Group]:
+def harmonics(model: Model, motions: Sequence[Motion], frequencies: Sequence[float]) -> list[ForceFamily]:
     """At every joint and each frequency [Hz] a torque of sine and cosine of the time since a recording began."""
     scene = Scene(model, tuple(motions))
     waves = []
@@ -471,5 +472,7 @@ def harmonics(model: Model, motions: Sequence[Motion], frequencies: Sequence[flo
         for f in frequencies:
             turns = [2 * np.pi * f * t for t in scene.since()]
             columns = tuple(np.column_stack([np.sin(x), np.cos(x)]) for x in turns)
-            waves.append(Group(name, (name,), [Coordinate("time", frequency=f)], None, (), {("joint", j): columns}))
+            waves.append(
+                ForceFamily(name, (name,), [Coordinate("time", frequency=f)], None, (), {("joint", j): columns})
+            )
     return waves

@@ -25,10 +25,10 @@ EVERY = 4
 LAST = 0.25
 """Share of a trial that is alone, or alone of its kind, which is held out: its end."""
 LEAST_DURATION, LEAST_SAMPLES = 1.0, 60
-"""Of a trial to be of use [s] and in samples."""
+"""Shortest trial that is of use [s], and the fewest samples of one."""
 MOST_TIME, ENOUGH = 240.0, 8.0
-"""Fitted are so many seconds times joints; of longer recordings some intervals of the second length, see ``_some`` [s].
-More takes longer in proportion, and intervals of estimates shrink by the root of it alone."""
+"""Longest time that is fitted whole, times joints [s], and the length of the intervals that are fitted of longer
+recordings, see ``_some`` [s]. More takes longer in proportion, and intervals of estimates shrink by its root alone."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,8 +62,9 @@ class Holdout:
         test: touched for the report alone.
         other: for validation in the place of the first, where those show what the rest does not; empty where somebody
             said which judge, or there are too few.
-        ends: trials that are alone, or alone of their kind, the ends of which alone are held out, for validation,
-        last: and of these those whose end's second half is for the test.
+        ends: trials of which the end alone is held out: those that are alone, or alone of their kind. It is for
+            validation.
+        last: those of ``ends`` of which the second half of the end is for the test.
     """
 
     validation: frozenset[int] = frozenset()

@@ -9,9 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from equimus_ctrl.diagnosis import units
+from equimus_ctrl.diagnosis.display_units import Reading, command, noun, position
 from equimus_ctrl.diagnosis.residuals import ResidualLocation
-from equimus_ctrl.diagnosis.units import Reading
 from equimus_ctrl.identification.parameters import place_unit
 from equimus_ctrl.identification.segments import Segment
 from equimus_ctrl.models.model import Model
@@ -162,14 +161,14 @@ def _regions(model: Model, segments: Sequence[Segment], j: int) -> list[Class]:
     regions = []
     joints, actuators = model.robot.joint_names, model.robot.actuator_names
     coordinates: list[tuple[str, Reading, Callable[[Segment], Array]]] = [
-        (f"{name} {units.noun(model, name)}s", units.position(model, name), lambda s, i=i: s.measured[:, i])  # type: ignore[misc]
+        (f"{name} {noun(model, name)}s", position(model, name), lambda s, i=i: s.measured[:, i])  # type: ignore[misc]
         for i, name in enumerate(joints)
     ]
     plain = Reading(place_unit(model, "rad/s", joints[j]), 1.0)
     coordinates += [
         (f"{joints[j]} speeds", plain, lambda s: np.abs(speeds(s)[:, j])),
         *[
-            (f"commands of {name}", units.command(model, name), lambda s, a=a: commands(s)[0][:, a])
+            (f"commands of {name}", command(model, name), lambda s, a=a: commands(s)[0][:, a])
             for a, name in enumerate(actuators)
         ],
     ]

@@ -1,4 +1,4 @@
-"""The refit, where a diagnosis begins: the model without any effect, its parameters fitted.
+"""The refit, where a diagnosis begins: the model without any effect, its parameters fitted, and its search set up.
 
 Where residuals are large, it is fitted to short shooting intervals too, and a second search begins at that fit.
 """
@@ -36,10 +36,14 @@ SEARCH_SHARE = (0.15, 0.8)
 
 
 def refit(inputs: DiagnosisInputs) -> State:
-    """The model without any effect, its parameters refitted.
+    """The model without any effect, its parameters refitted, and the search that goes on from there.
 
     Where residuals are large, it is fitted to short shooting intervals too. As errors grow along the shooting
-    intervals, the refit is then also begun at that fit.
+    intervals, the refit is then also begun at that fit. The search gets its candidates, and the model a value of its
+    own in each group of trials for the parameters that differ between them (``groups.told_apart``).
+
+    Args:
+        inputs: of the diagnosis.
 
     Raises:
         BudgetSpent: where the budget ends before there is any fit.
@@ -80,7 +84,7 @@ def _round_notify(progress: Progress) -> Callable[[str, str], None]:
 
 
 def nominal_residuals(inputs: DiagnosisInputs, data: Data) -> tuple[Array, ...]:
-    """Of the nominal model, for each segment fitted."""
+    """Of the nominal model: (m, nj + ne) for each segment fitted, ``residuals.DIVERGED`` where it diverges."""
     return tuple(residuals_of(inputs.nominal, inputs.split.train, data.simulator))
 
 

@@ -11,7 +11,7 @@ import numpy as np
 from equimus_ctrl import computer
 from equimus_ctrl.diagnosis.explained_variance import Explained, explained
 from equimus_ctrl.diagnosis.fitting import Data, Fitted
-from equimus_ctrl.diagnosis.force_basis import Group, batches, groups, harmonics, responses
+from equimus_ctrl.diagnosis.force_basis import ForceFamily, batches, families, harmonics, responses
 from equimus_ctrl.diagnosis.force_response import STEP, segment_response
 from equimus_ctrl.diagnosis.observed import observed
 from equimus_ctrl.diagnosis.place_excitation import excitation_of
@@ -38,11 +38,11 @@ class ForceCandidate:
     """An unstructured residual force and what it explains.
 
     Attributes:
-        group: where, and what it depends on.
+        family: where, and what it depends on.
         found: what it explains beside the free parameters.
     """
 
-    group: Group
+    family: ForceFamily
     found: Explained
 
 
@@ -53,7 +53,7 @@ class LinearisedFit:
     Attributes:
         fitted: the hypothesis.
         whitened_fit: residual and derivatives.
-        groups: the residual forces.
+        families: the residual forces.
         columns: for each the whitened changes (N, k) of the measurements.
         folds: of the cross-validation: rows of shooting intervals that are held out together, or of whole trials where
             these are not cut; none where there is one alone.
@@ -64,7 +64,7 @@ class LinearisedFit:
 
     fitted: Fitted
     whitened_fit: WhitenedFit
-    groups: list[Group]
+    families: list[ForceFamily]
     columns: list[Array]
     folds: list[list[slice]]
     noise: Noise
@@ -89,13 +89,13 @@ def linearise_fit(data: Data, fitted: Fitted, noise: Noise, dt: float = STEP) ->
         return None
     linearised = observed(response, model.robot, data.segments)
     motions = list(linearised.motions)
-    forces = [*groups(model, motions), *harmonics(model, motions, frequencies(motions))]
+    forces = [*families(model, motions), *harmonics(model, motions, frequencies(motions))]
 
-    def whitened(batch: list[Group]) -> list[Array]:
+    def whitened(batch: list[ForceFamily]) -> list[Array]:
         with np.errstate(over="ignore", invalid="ignore"):
             changes = discard_unstable(responses(linearised, batch))
             together = whitened_fit.columns(data.times, changes)
-        ends = np.cumsum([group.size for group in batch])[:-1]
+        ends = np.cumsum([family.size for family in batch])[:-1]
         return [np.ascontiguousarray(own) for own in np.split(together, ends, axis=1)]
 
     shared = computer.side_by_side(whitened_fit.threads, whitened, batches(forces))
@@ -135,10 +135,10 @@ def force_candidates(at: LinearisedFit, extra: Array | None = None) -> list[Forc
     slopes = at.whitened_fit.slopes if extra is None else np.column_stack([at.whitened_fit.slopes, extra])
     beside = Nuisance.of(slopes)
 
-    def found(group: Group, columns: Array) -> ForceCandidate:
-        return ForceCandidate(group, explained(at.whitened_fit.residual, beside, columns, folds=at.folds))
+    def found(family: ForceFamily, columns: Array) -> ForceCandidate:
+        return ForceCandidate(family, explained(at.whitened_fit.residual, beside, columns, folds=at.folds))
 
-    candidates = computer.in_threads(at.whitened_fit.threads, found, at.groups, at.columns)
+    candidates = computer.in_threads(at.whitened_fit.threads, found, at.families, at.columns)
     return sorted(candidates, key=lambda force: -judged(force.found, at))
 
 

@@ -17,6 +17,7 @@ import math
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 
@@ -47,6 +48,13 @@ WEAK = 1e-8
 """Directions of the parameters weaker than this share of the strongest are not changed at all."""
 
 
+class ScreenedGains(NamedTuple):
+    """By how much χ² of a candidate would fall, by each of the two whitenings."""
+
+    white: float
+    estimated: float
+
+
 @dataclass(frozen=True, eq=False)
 class Screened:
     """A candidate at its most promising initial guess.
@@ -55,7 +63,7 @@ class Screened:
         candidate: what.
         hypothesis: the one screened against, with the candidate added.
         begin: (p,) θ that goes with it, to first order.
-        gains: by how much χ² would fall, for each whitening.
+        gains: by how much χ² would fall.
         tried: the guesses that could be added.
         strength: for each of them χ² of its orthogonal component, by the noise estimated.
     """
@@ -63,7 +71,7 @@ class Screened:
     candidate: Candidate
     hypothesis: Hypothesis
     begin: Array
-    gains: tuple[float, ...]
+    gains: ScreenedGains
     tried: tuple[Mapping[str, float], ...]
     strength: Array
 
@@ -243,7 +251,7 @@ def _selected(responses: _Responses, candidate: Candidate, guesses: Sequence[_Gu
         candidate,
         scaled,
         np.concatenate([best.theta, list(scaled[-1].values.values())]),
-        tuple(max(guess.gains[w] for guess in guesses) for w in (WHITE, ESTIMATED)),
+        ScreenedGains(*(max(guess.gains[w] for guess in guesses) for w in (WHITE, ESTIMATED))),
         tuple(dict(responses.guesses[guess.index][-1].values) for guess in guesses),
         np.array([guess.strengths[ESTIMATED] for guess in guesses]),
     )

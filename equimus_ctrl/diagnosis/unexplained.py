@@ -12,7 +12,7 @@ import numpy as np
 from equimus_ctrl.diagnosis.confounding import confounded, generalises, restates
 from equimus_ctrl.diagnosis.explained_variance import Explained
 from equimus_ctrl.diagnosis.fitting import Data, Fitted, chi_squared
-from equimus_ctrl.diagnosis.force_basis import Axis, Group
+from equimus_ctrl.diagnosis.force_basis import Axis, ForceFamily
 from equimus_ctrl.diagnosis.hypothesis import Hypothesis, Part
 from equimus_ctrl.diagnosis.localization import excess_variances
 from equimus_ctrl.diagnosis.noise_size import noise_sizes
@@ -129,7 +129,7 @@ def select_forces(data: Data, at: LinearisedFit, together: float) -> list[Select
         whole = max(together, 0.0) + sum(force.gain for force in selected) + top.found.gain
         if data.thresholds.decides(partial(_but_a_trace, judged(top.found, at), top.found.gain, whole, data.n)):
             break
-        columns = at.columns[next(k for k, group in enumerate(at.groups) if group is top.group)]
+        columns = at.columns[next(k for k, family in enumerate(at.families) if family is top.family)]
         selected.append(SelectedForce(top, columns))
     return selected
 
@@ -180,7 +180,7 @@ def _generalised(data: Data, best: Fitted, falls: Sequence[float], force: Select
     return [
         k
         for k, (part, fall) in enumerate(zip(best.hypothesis, falls, strict=True))
-        if generalises(force.candidate.group, part)
+        if generalises(force.candidate.family, part)
         and data.thresholds.decides(partial(_distinguished, force.gain, fall))
     ]
 
@@ -288,7 +288,7 @@ def _replaced_by_force(
     if at is None:
         return False
     at_joints = not data.free.model.robot.traits.forces_along_actuators
-    forces = [(force.found.gain, restates(force.group, best.hypothesis, at_joints)) for force in force_candidates(at)]
+    forces = [(force.found.gain, restates(force.family, best.hypothesis, at_joints)) for force in force_candidates(at)]
     others = [(gain, restated) for gain, restated in forces if restated != "same"][:tried]
     return data.thresholds.decides(
         lambda t: any(gain > (t.replaces_restated if restated else share(t)) * fall for gain, restated in others)
@@ -336,22 +336,22 @@ def _residual_forces(data: Data, at: LinearisedFit, forces: Sequence[SelectedFor
 def _residual_force(
     data: Data, at: LinearisedFit, force: SelectedForce, share: float, threshold: float
 ) -> ResidualForce:
-    group, explanation = force.candidate.group, force.candidate.found
-    axis = group.axes[0] if len(group.axes) == 1 else None
+    family, explanation = force.candidate.family, force.candidate.found
+    axis = family.axes[0] if len(family.axes) == 1 else None
     x = curve = band = np.empty(0)
     if axis is not None:
         x = np.linspace(*axis.range, POINTS)
         curve, band = _curve(at, force.columns, axis, x)
     names = {"joint": data.free.model.robot.joint_names, "actuator": data.free.model.robot.actuator_names}
-    places = tuple(names[kind][i] for kind, i in group.forces)
+    places = tuple(names[kind][i] for kind, i in family.forces)
     return ResidualForce(
-        location=_joint(at, group, explanation),
+        location=_joint(at, family, explanation),
         share=share,
-        coordinates=group.coordinates,
+        coordinates=family.coordinates,
         places=places,
         gain=judged(explanation, at),
         threshold=threshold,
-        unit=place_unit(data.free.model, f"{_unit('N·m', group)} | {_unit('N', group)}", places[0]),
+        unit=place_unit(data.free.model, f"{_unit('N·m', family)} | {_unit('N', family)}", places[0]),
         axis=axis.coordinate if axis else None,
         axis_unit=axis.unit if axis else "",
         x=x,
@@ -360,23 +360,23 @@ def _residual_force(
     )
 
 
-def _unit(force: str, group: Group) -> str:
+def _unit(force: str, family: ForceFamily) -> str:
     """Of the function that a factor multiplies; a sign has no unit."""
-    if group.factor is None or group.factor.sign:
+    if family.factor is None or family.factor.sign:
         return force
     per = {"vel": "·s/rad", "rate": "·s/m", "cmd": "/Pa", "len": "/m"}
-    return force + per.get(group.factor.kind, "")
+    return force + per.get(family.factor.kind, "")
 
 
-def _joint(at: LinearisedFit, group: Group, explanation: Explained) -> str:
+def _joint(at: LinearisedFit, family: ForceFamily, explanation: Explained) -> str:
     """The joint on which the force does the most work, of those it acts on."""
     joints = at.fitted.fit.model.robot.joint_names
     work = np.zeros(len(joints))
-    for torque, motion in zip(group.torques(at.motions), at.motions, strict=True):
+    for torque, motion in zip(family.torques(at.motions), at.motions, strict=True):
         fitted = torque @ explanation.coefficients
         stiff = np.maximum(np.ptp(motion.position, axis=0), 1e-6)
         work += (fitted - fitted.mean(axis=0)).std(axis=0) * stiff
-    allowed = [joints.index(name) for name in group.joints]
+    allowed = [joints.index(name) for name in family.joints]
     return joints[max(allowed, key=lambda j: work[j])]
 
 

@@ -40,7 +40,7 @@ class Refits:
         weights = white_noise(fitted.fit.residuals)
         own = len(self.data.free.free)
         found = []
-        for s in sorted(screen(self.data, fitted, self.pool), key=lambda s: -s.gains[0])[:TOP]:
+        for s in sorted(screen(self.data, fitted, self.pool), key=lambda s: -s.gains.white)[:TOP]:
             begin: list[Begin] = [(s.begin, fitted.fit.starts)]
             if not fitted.hypothesis:
                 # The missing physics may have biased the refitted model far.

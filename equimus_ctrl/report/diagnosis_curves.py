@@ -9,7 +9,7 @@ from typing import cast
 import casadi as ca
 import numpy as np
 
-from equimus_ctrl.diagnosis import units
+from equimus_ctrl.diagnosis import display_units
 from equimus_ctrl.diagnosis.coordinates import Coordinate
 from equimus_ctrl.diagnosis.residuals import ResidualForce, Unexplained
 from equimus_ctrl.diagnosis.results import Finding
@@ -176,7 +176,7 @@ class _Place:
 
     @classmethod
     def of(cls, scene: Scene, name: str) -> _Place:
-        noun = units.noun(scene.model, name) if name in scene.model.robot.joint_names else "length"
+        noun = display_units.noun(scene.model, name) if name in scene.model.robot.joint_names else "length"
         x_unit, force_unit = (place_unit(scene.model, unit, name) for unit in ("rad | m", "N·m | N"))
         return cls(name, noun, scene.seen[name], x_unit, force_unit)
 

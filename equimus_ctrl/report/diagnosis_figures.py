@@ -15,7 +15,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.ticker import LogLocator, NullFormatter
 
-from equimus_ctrl.diagnosis import units
+from equimus_ctrl.diagnosis import display_units
 from equimus_ctrl.diagnosis.localization import commands, speeds
 from equimus_ctrl.diagnosis.results import SETS, STATES, Diagnosis
 from equimus_ctrl.identification.residuals import DIVERGED
@@ -113,7 +113,7 @@ def _trial_name(diagnosis: Diagnosis, k: int) -> str:
 def _draw_angles(axes: Axes, diagnosis: Diagnosis, k: int, j: int, states: Sequence[str]) -> None:
     segment = _part(diagnosis)[1][k]
     time, measured = segment.trial.sample_times, segment.measured[:, j]
-    factor = units.position(diagnosis.model, diagnosis.joints[j]).factor
+    factor = display_units.position(diagnosis.model, diagnosis.joints[j]).factor
     axes.plot(time, measured * factor, color=style.RECORDED, linewidth=2.2, alpha=0.45)
     for state in states:
         predicted = (measured - _residual(diagnosis, state, k)[:, j]) * factor
@@ -122,7 +122,7 @@ def _draw_angles(axes: Axes, diagnosis: Diagnosis, k: int, j: int, states: Seque
 
 
 def _draw_residuals(axes: Axes, diagnosis: Diagnosis, k: int, j: int) -> None:
-    factor = units.error(diagnosis.model, diagnosis.joints[j]).factor
+    factor = display_units.error(diagnosis.model, diagnosis.joints[j]).factor
     time, sigma = _part(diagnosis)[1][k].trial.sample_times, diagnosis.sigma[j] * factor
     axes.axhspan(-2 * sigma, 2 * sigma, color=style.SHADE, linewidth=0)
     top = 3 * sigma
@@ -138,7 +138,7 @@ def _draw_residuals(axes: Axes, diagnosis: Diagnosis, k: int, j: int) -> None:
 def _draw_commands(axes: Axes, diagnosis: Diagnosis, segment: Segment) -> None:
     values, _, _ = commands(segment)
     for a, name in enumerate(diagnosis.model.robot.actuator_names):
-        shown = values[:, a] * units.command(diagnosis.model, name).factor
+        shown = values[:, a] * display_units.command(diagnosis.model, name).factor
         axes.step(segment.trial.sample_times, shown, where="post", color=style.actuator_colour(a), linewidth=1.1)
 
 
@@ -148,11 +148,11 @@ def _state_handles(states: Sequence[str]) -> list[Artist]:
 
 
 def _position_label(diagnosis: Diagnosis, joint: str) -> str:
-    return f"{units.noun(diagnosis.model, joint)} {units.position(diagnosis.model, joint).bracket}"
+    return f"{display_units.noun(diagnosis.model, joint)} {display_units.position(diagnosis.model, joint).bracket}"
 
 
 def _command_label(diagnosis: Diagnosis) -> str:
-    shown = {units.command(diagnosis.model, name).unit for name in diagnosis.model.robot.actuator_names}
+    shown = {display_units.command(diagnosis.model, name).unit for name in diagnosis.model.robot.actuator_names}
     return f"[{', '.join(sorted(shown))}]" if shown - {""} else "command"
 
 
@@ -189,7 +189,7 @@ def _draw_trial(block: SubFigure, diagnosis: Diagnosis, k: int) -> None:
         _draw_residuals(bottom, diagnosis, k, j)
         label = column == 0
         style.dress(top, title=titles[j], y=_position_label(diagnosis, joint) if label else "")
-        style.dress(bottom, y=f"error {units.error(diagnosis.model, joint).bracket}" if label else "")
+        style.dress(bottom, y=f"error {display_units.error(diagnosis.model, joint).bracket}" if label else "")
     for axes in grid.flat[len(joints) // columns * 2 * columns :]:
         if not axes.has_data():
             axes.set_axis_off()
@@ -202,7 +202,7 @@ def _draw_trial(block: SubFigure, diagnosis: Diagnosis, k: int) -> None:
 
 def _errors(diagnosis: Diagnosis, k: int, j: int) -> str:
     """A joint's RMSE in a trial with each state of the model."""
-    unit = units.error(diagnosis.model, diagnosis.joints[j])
+    unit = display_units.error(diagnosis.model, diagnosis.joints[j])
     of_states = (_residual(diagnosis, s, k)[:, j] for s in diagnosis_text.states(diagnosis))
     errors = [float(np.sqrt(np.mean(r**2))) * unit.factor for r in of_states]
     shown = ("diverged" if np.isnan(e) else number(e) if e < 1 else f"{e:.1f}" for e in errors)
@@ -226,7 +226,7 @@ def residuals_figure(diagnosis: Diagnosis) -> Figure:
         height_ratios=[1.3, 1] * len(joints),
     )
     for j, joint in enumerate(joints):
-        unit, sigma = units.error(model, joint), diagnosis.sigma[j]
+        unit, sigma = display_units.error(model, joint), diagnosis.sigma[j]
         of_joint = {state: r[:, j] * unit.factor for state, r in residuals.items()}
         for c, (label, values) in enumerate(columns[joint]):
             top, bottom = grid[2 * j, c], grid[2 * j + 1, c]
@@ -260,7 +260,7 @@ def _columns(model: Model, segments: Sequence[Segment]) -> dict[str, list[tuple[
     given = np.concatenate([commands(s)[0] for s in segments])
     since = np.concatenate([_since_step(s, float(given.max(initial=0.0))) for s in segments])
     names = model.robot.actuator_names
-    shown = {name: units.command(model, name) for name in names}
+    shown = {name: display_units.command(model, name) for name in names}
     driving = {
         name: (f"command of {name} {unit.bracket}".rstrip(), given[:, a] * unit.factor)
         for a, (name, unit) in enumerate(shown.items())
@@ -268,10 +268,10 @@ def _columns(model: Model, segments: Sequence[Segment]) -> dict[str, list[tuple[
     stepped = [(SINCE, since)] if np.median(since) > 0 else []  # else commands change all the time
     columns = {}
     for j, joint in enumerate(model.robot.joint_names):
-        place, fast = units.position(model, joint), units.speed(model, joint)
+        place, fast = display_units.position(model, joint), display_units.speed(model, joint)
         columns[joint] = [
             *stepped,
-            (f"{units.noun(model, joint)} of {joint} {place.bracket}", positions[:, j] * place.factor),
+            (f"{display_units.noun(model, joint)} of {joint} {place.bracket}", positions[:, j] * place.factor),
             (f"speed of {joint} {fast.bracket}", rates[:, j] * fast.factor),
             *(
                 driving[name]
@@ -356,7 +356,7 @@ def summary_figure(diagnosis: Diagnosis, scene: Scene) -> Figure:
     style.dress(
         top, title=textwrap.fill(f"{joint}, {_trial_name(diagnosis, k)}", 46), y=_position_label(diagnosis, joint)
     )
-    style.dress(bottom, x="time [s]", y=f"error {units.error(diagnosis.model, joint).bracket}")
+    style.dress(bottom, x="time [s]", y=f"error {display_units.error(diagnosis.model, joint).bracket}")
     top.tick_params(labelbottom=False)
     panel, found = _first_panel(diagnosis, scene), diagnosis_text.grouped(diagnosis.findings)
     if found and len(found[0].findings) > 1:
@@ -421,7 +421,7 @@ def _draw_against_noise(axes: Axes, diagnosis: Diagnosis) -> None:
     """Error of every state of the model and the noise, joint by joint."""
     part, _ = _part(diagnosis)
     rows = np.arange(len(diagnosis.joints))
-    shown = [units.error(diagnosis.model, joint) for joint in diagnosis.joints]
+    shown = [display_units.error(diagnosis.model, joint) for joint in diagnosis.joints]
     factors = np.array([u.factor for u in shown])
     for s, state in enumerate(STATES[:2]):
         errors = diagnosis.rmse(state, part) * factors  # type: ignore[arg-type]

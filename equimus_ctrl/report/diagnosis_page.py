@@ -12,7 +12,7 @@ import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from equimus_ctrl.diagnosis import units
+from equimus_ctrl.diagnosis import display_units
 from equimus_ctrl.diagnosis.residuals import ResidualForce
 from equimus_ctrl.diagnosis.results import SETS, Diagnosis
 from equimus_ctrl.identification.results import together
@@ -148,7 +148,7 @@ def _table(head: Sequence[str], rows: Sequence[Sequence[str]], text: int = 1, st
 def _size(diagnosis: Diagnosis) -> str:
     """The size of the residuals of each state of the model, joint by joint."""
     text, *_ = diagnosis_text.against_noise(diagnosis)
-    shown = [units.error(diagnosis.model, joint) for joint in diagnosis.joints]
+    shown = [display_units.error(diagnosis.model, joint) for joint in diagnosis.joints]
     factors, alike = np.array([u.factor for u in shown]), len({u.unit for u in shown}) == 1
     states, parts = diagnosis_text.states(diagnosis), [part for part in SETS if getattr(diagnosis, part)]
     groups = [(diagnosis_text.PARTS[part], [WORDS[state] for state in states]) for part in parts]

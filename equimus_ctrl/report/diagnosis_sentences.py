@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from equimus_ctrl.diagnosis import units
+from equimus_ctrl.diagnosis import display_units
 from equimus_ctrl.diagnosis.results import Estimate, Finding
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.report.diagnosis_words import estimate_text, listed, quantity
@@ -34,7 +34,7 @@ class FoundEffect:
 
     @property
     def noun(self) -> str:
-        return units.noun(self.model, self.places[0])
+        return display_units.noun(self.model, self.places[0])
 
     @property
     def actuation(self) -> str:

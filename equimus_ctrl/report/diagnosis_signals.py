@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from equimus_ctrl.diagnosis import units
+from equimus_ctrl.diagnosis import display_units
 from equimus_ctrl.effects.base import Effect
 from equimus_ctrl.effects.command import pressure_history
 from equimus_ctrl.effects.sensors import OFFSET, PLAY, SCALE, SENSOR_DELAY, sample, sensor_settings
@@ -38,7 +38,7 @@ def command_panels(scene: Scene, best: Sequence[Effect], others: Sequence[Sequen
         others: the same with other parameters.
     """
     valve = _Valve.of(scene, best)
-    shown_in = units.command(scene.model, valve.name)
+    shown_in = display_units.command(scene.model, valve.name)
     factor, commands = shown_in.factor, scene.commands[:, valve.place]
     pressures = scene.model.robot.traits.commands_are_pressures
     label = "pressure" if pressures else "what acts"
@@ -141,7 +141,7 @@ def sensor_panels(scene: Scene, best: Sequence[Effect], others: Sequence[Sequenc
     """
     m = scene.model.robot
     joint = best[0].location
-    place, what = units.position(scene.model, joint), units.noun(scene.model, joint)
+    place, what = display_units.position(scene.model, joint), display_units.noun(scene.model, joint)
     column = m.joint_names.index(joint)
     seen = scene.seen[joint]
 
@@ -182,7 +182,7 @@ def _to_and_fro(
 ) -> list[Panel]:
     """A triangular motion about the middle, as wide as lets the effect be seen."""
     plain, now, others = sensors
-    place, what = units.position(model, joint), units.noun(model, joint)
+    place, what = display_units.position(model, joint), display_units.noun(model, joint)
     wide = min(high - low, TIMES_THE_PLAY * (now[PLAY] + now[SENSOR_DELAY] * speed))
     quarter = wide / 2 / speed
     time = np.linspace(0.0, 8 * quarter, 8 * POINTS)

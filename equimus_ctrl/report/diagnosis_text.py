@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from equimus_ctrl.diagnosis import units
+from equimus_ctrl.diagnosis import display_units
+from equimus_ctrl.diagnosis.display_units import Reading
 from equimus_ctrl.diagnosis.residuals import ResidualAboveNoise, Unexplained
 from equimus_ctrl.diagnosis.results import (
     SETS,
@@ -21,7 +22,6 @@ from equimus_ctrl.diagnosis.results import (
     Named,
     Set,
 )
-from equimus_ctrl.diagnosis.units import Reading
 from equimus_ctrl.effects.base import REGISTRY
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.report.diagnosis_sentences import sentence, sentences
@@ -162,7 +162,7 @@ def against_noise(diagnosis: Diagnosis) -> list[str]:
         text += f", augmented {number(sizes['corrected'])}"
     lines = [f"{text}."]
     for j, (joint, sigma) in enumerate(zip(diagnosis.joints, diagnosis.sigma, strict=True)):
-        unit = units.error(diagnosis.model, joint)
+        unit = display_units.error(diagnosis.model, joint)
         said = []
         for part in SETS:
             if getattr(diagnosis, part):
@@ -238,7 +238,7 @@ def headline(diagnosis: Diagnosis) -> str:
     if not segments:
         return ""
     before, after = (diagnosis.rmse(state, part) for state in ("refitted", "corrected"))
-    shown = [units.error(diagnosis.model, joint) for joint in diagnosis.joints]
+    shown = [display_units.error(diagnosis.model, joint) for joint in diagnosis.joints]
     if diagnosis.findings:
         parts = [_fall(j, b, a, u) for j, b, a, u in zip(diagnosis.joints, before, after, shown, strict=True)]
         size = after / np.maximum(before, 1e-300)

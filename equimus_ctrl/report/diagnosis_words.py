@@ -6,8 +6,8 @@ import math
 from collections.abc import Sequence
 
 from equimus_ctrl.diagnosis.coordinates import Coordinate, Kind
+from equimus_ctrl.diagnosis.display_units import Reading
 from equimus_ctrl.diagnosis.results import Estimate, Named
-from equimus_ctrl.diagnosis.units import Reading
 from equimus_ctrl.models.model import Model
 
 DIGITS, MOST_DIGITS = 3, 5

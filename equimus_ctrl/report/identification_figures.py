@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
-from equimus_ctrl.diagnosis import units
+from equimus_ctrl.diagnosis import display_units
 from equimus_ctrl.identification.fit import Fit
 from equimus_ctrl.identification.parameters import FreeParameter
 from equimus_ctrl.identification.results import Identification, Identified, IdentifiedPoses
@@ -118,7 +118,8 @@ def fits_figure(found: Identified, trials: list[Shown]) -> Figure:
     for row, (trial, label) in enumerate(chosen):
         for j, joint in enumerate(joints):
             axes = grid[row, j]
-            colour, place, error = style.joint_colour(j), units.position(model, joint), units.error(model, joint)
+            place, error = display_units.position(model, joint), display_units.error(model, joint)
+            colour = style.joint_colour(j)
             measured = trial.measured[:, j] * place.factor
             axes.plot(trial.time, measured - trial.before[:, j] * place.factor, color=BEFORE, linewidth=1.4)
             axes.plot(trial.time, measured, color=style.RECORDED, linewidth=1.1)
@@ -128,7 +129,7 @@ def fits_figure(found: Identified, trials: list[Shown]) -> Figure:
             if j == 0:
                 title = f"{trial.name} ({label})\n{title}"
             last = row == len(chosen) - 1
-            label_y = f"{units.noun(model, joint)} {place.bracket}" if j == 0 else ""
+            label_y = f"{display_units.noun(model, joint)} {place.bracket}" if j == 0 else ""
             style.dress(axes, title=title, y=label_y, x="time [s]" if last else "")
     handles: list[Artist] = [
         Line2D([], [], color=style.RECORDED, linewidth=1.1, label="measured"),
@@ -148,7 +149,7 @@ def residuals_figure(found: Identified, trials: list[Shown]) -> Figure:
     height = 1.6 + 2 * 0.4 + len(joints) * max(0.19 * count, 0.9)
     figure = style.new_figure(12.0, height, "Residuals, trial by trial")
     grid = figure.subplots(len(joints), 2, squeeze=False, width_ratios=[1.0, 1.45], sharey=True)
-    shown = [units.position(model, joint) for joint in joints]
+    shown = [display_units.position(model, joint) for joint in joints]
     factors = np.array([u.factor for u in shown])
     after_all = np.concatenate([np.abs(t.after * factors)[np.isfinite(t.after)] for t in trials])
     span = max(float(np.quantile(after_all, 0.98)), 1e-6 * float(factors.max()))
@@ -156,7 +157,7 @@ def residuals_figure(found: Identified, trials: list[Shown]) -> Figure:
     drawn = None
     for j, joint in enumerate(joints):
         left, right = grid[j]
-        error = units.error(model, joint)
+        error = display_units.error(model, joint)
         before, after = (error.factor * np.array([t.rmse(which)[j] for t in trials]) for which in ("before", "after"))
         left.hlines(places, before, after, color=style.GRID, linewidth=3, zorder=1)
         left.scatter(before, places, s=24, color=BEFORE, linewidths=0, zorder=3)
