@@ -18,7 +18,7 @@ from equimus_ctrl.diagnosis.place_excitation import excitation_of
 from equimus_ctrl.diagnosis.preflight import check, measured_motions
 from equimus_ctrl.engines.base import EngineName
 from equimus_ctrl.engines.choice import engine_for
-from equimus_ctrl.engines.mjcf_inverse import applies, inverse_dynamics
+from equimus_ctrl.engines.mjcf_inverse import inverse_dynamics
 from equimus_ctrl.engines.mjcf_motion import mjcf_motion, simulated_response
 from equimus_ctrl.engines.motion import motion
 from equimus_ctrl.engines.trials import Trial
@@ -181,7 +181,7 @@ def test_a_prescribed_joint_is_no_part_of_what_is_compared_or_estimated() -> Non
 
 def test_the_torque_domain_knows_the_motion_and_asks_nothing_of_the_joint() -> None:
     model = Model(ROBOT)
-    assert applies(ROBOT)
+    assert ROBOT.has_torque_domain
     motions = measured_motions(model, [with_prescribed(recording(), ROBOT)])
     (found,) = inverse_dynamics(model, motions, 3)
     assert found.missing.shape[1] == 1

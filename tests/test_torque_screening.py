@@ -35,7 +35,7 @@ from equimus_ctrl.effects import (
     ViscousFriction,
 )
 from equimus_ctrl.engines.choice import engine_for
-from equimus_ctrl.engines.mjcf_inverse import MeasuredMotion, applies, inverse_dynamics, law_slopes, motions_of
+from equimus_ctrl.engines.mjcf_inverse import MeasuredMotion, inverse_dynamics, law_slopes, motions_of
 from equimus_ctrl.engines.trials import Trial
 from equimus_ctrl.identification.simulators import Simulator
 from equimus_ctrl.models.model import Model
@@ -124,9 +124,9 @@ def test_uneven_samples_become_even() -> None:
 
 
 def test_integrators_and_equalities_leave_no_torque_domain() -> None:
-    assert applies(ROBOT) and applies(SERVOED)
+    assert ROBOT.has_torque_domain and SERVOED.has_torque_domain
     drive = '<intvelocity name="drive" joint="hinge" kp="12"/>'
-    assert not applies(MjcfRobot("arm", PENDULUM.format(drive=drive)))
+    assert not MjcfRobot("arm", PENDULUM.format(drive=drive)).has_torque_domain
 
 
 @pytest.mark.parametrize(

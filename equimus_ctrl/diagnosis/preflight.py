@@ -17,7 +17,6 @@ from scipy.optimize import linear_sum_assignment
 from equimus_ctrl.diagnosis.conventions import ALIKE, mistaken
 from equimus_ctrl.engines.mjcf_inverse import (
     MeasuredMotion,
-    applies,
     inverse_dynamics,
     motions_of,
     weighed_as_motion,
@@ -62,7 +61,7 @@ def check(model: Model, recordings: Sequence[Recording]) -> None:
     """
     if not model.robot.traits.held_in_place:
         _check_angles(model.robot, recordings)
-    if applies(model.robot):
+    if model.robot.has_torque_domain:
         _check_forces(model, mjcf_of(model.robot), recordings)
         _check_measured(model, mjcf_of(model.robot), recordings)
 

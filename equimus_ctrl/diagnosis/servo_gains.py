@@ -26,7 +26,7 @@ import numpy as np
 
 from equimus_ctrl.diagnosis.hypothesis import default_free_parameters
 from equimus_ctrl.diagnosis.preflight import UNIT, measured_motions
-from equimus_ctrl.engines.mjcf_inverse import InverseDynamics, MeasuredMotion, applies, inverse_dynamics
+from equimus_ctrl.engines.mjcf_inverse import InverseDynamics, MeasuredMotion, inverse_dynamics
 from equimus_ctrl.identification.parameters import FreeParameters
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.robots.mjcf.robot import mjcf_of
@@ -123,7 +123,7 @@ def servo_gains(model: Model, recordings: Sequence[Recording]) -> tuple[ServoGai
         model: of any robot.
         recordings: with the robot's joints and actuators, in its order.
     """
-    if not applies(model.robot):
+    if not model.robot.has_torque_domain:
         return ()
     robot, values = mjcf_of(model.robot), model.robot.parameters()
     servos = {f"{d.actuator}.kp": d.joint for d in robot.actuators if d.servo and f"{d.actuator}.kp" in values}

@@ -31,7 +31,6 @@ from equimus_ctrl.diagnosis.hypothesis import Candidate
 from equimus_ctrl.diagnosis.torque_columns import Columns, columns_of, usual_laws
 from equimus_ctrl.engines.mjcf_inverse import (
     MeasuredMotion,
-    applies,
     motions_of,
 )
 from equimus_ctrl.identification.noise import noise_of_differences
@@ -217,7 +216,7 @@ def torque_domain(data: Data, pool: Sequence[Candidate]) -> TorqueDomain | None:
 
     Recordings shorter than half the longest are left out.
     """
-    if not applies(data.free.model.robot):
+    if not data.free.model.robot.has_torque_domain:
         return None
     noise = np.array([own.sigma for own in noise_of_differences([s.measured for s in data.segments])])
     trials, measured, zeros = zip(*((s.trial, s.measured, s.zeros) for s in data.segments), strict=True)

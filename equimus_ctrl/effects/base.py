@@ -16,6 +16,8 @@ from equimus_ctrl.errors import ConfigError, unknown_name
 
 Side = Literal["command", "force", "measurement"]
 Robots = Literal["elastic", "mjcf"]
+KINDS: Mapping[Robots, str] = {"elastic": "a robot with elastic actuators", "mjcf": "an MJCF robot"}
+"""Kind of robots → what a message calls one of them."""
 
 
 def parameter(unit: str, low: float, high: float, doc: str) -> Any:
@@ -398,9 +400,8 @@ def check_robots(effects: Sequence[Effect], kind: Robots, where: str) -> None:
     """Raise ConfigError where an effect is not one of robots of a kind."""
     for effect in effects:
         if kind not in effect.robots:
-            what = "an MJCF robot" if kind == "mjcf" else "a robot with elastic actuators"
             raise ConfigError(
-                f"{where}: {what} cannot have effect {effect.name} (it can: {', '.join(catalogue(kind))})"
+                f"{where}: {KINDS[kind]} cannot have effect {effect.name} (it can: {', '.join(catalogue(kind))})"
             )
 
 

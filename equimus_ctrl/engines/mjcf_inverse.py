@@ -31,9 +31,6 @@ from equimus_ctrl.engines.trials import Condition, Trial
 from equimus_ctrl.models.augmented import state_change
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.models.quiet import quietly
-from equimus_ctrl.robots.base import Robot
-from equimus_ctrl.robots.mjcf.actuators import FILTERS
-from equimus_ctrl.robots.mjcf.robot import MjcfRobot
 from equimus_ctrl.types import Array
 
 STILL = 3.0
@@ -99,26 +96,13 @@ class InverseDynamics:
         return np.asarray(self.weighted(self.moving.astype(float)) > MOVES)
 
 
-def applies(robot: Robot) -> bool:
-    """Whether forces of all drives follow from where joints are, how fast they move and what was commanded lately.
-
-    Of robots that MuJoCo's XML describes.
-    """
-    if not isinstance(robot, MjcfRobot):
-        return False
-    base = robot.plan.base
-    filters = sum(int(kind) in FILTERS for kind in base.actuator_dyntype)
-    known = len(robot.joints) + len(robot.prescribed_names)
-    return bool(base.na == filters and not base.neq and base.nv == known)
-
-
 def inverse_dynamics(model: Model, motions: Sequence[MeasuredMotion], width: int) -> list[InverseDynamics]:
     """The generalised forces that a model lacks along each measured motion, see the module's law.
 
     Effects that move without being measured, such as a drive's compliance, count as rigid (``Effect.in_torques``).
 
     Args:
-        model: of a robot to which this ``applies``.
+        model: of a robot that ``has_torque_domain``.
         motions: what was measured.
         width: of B, in samples.
     """

@@ -314,8 +314,11 @@ def friction_of_all_joints(rng: np.random.Generator, draws: Draws, real: Model) 
             joints but one at most have dry friction already.
     """
     joints = real.robot.joint_names
-    if len(joints) < 2 or real.robot.traits.catalogue != "mjcf":
-        raise ConfigError(f"{real.name}: friction in all joints is drawn of MJCF robots of two joints or more")
+    if len(joints) < 2 or real.robot.traits.forces_along_actuators:
+        raise ConfigError(
+            f"{real.name}: friction in all joints is drawn of robots of two joints or more whose drives act at joints "
+            "alone, as MJCF robots' do"
+        )
     without = [(law, [j for j in joints if f"{j}.{own}" not in draws.spread]) for law, own in RUBS]
     (_, dry), *_ = without
     if len(dry) < 2:

@@ -133,8 +133,10 @@ class Experiment(CaseSource):
 
 def require_bare_mjcf(model: Model) -> None:
     """Raise ConfigError where a model is of no MJCF robot, has effects already, or is moved as it was measured."""
-    if model.robot.traits.catalogue != "mjcf":
-        raise ConfigError(f"{model.name} is no MJCF robot; a leg's experiments are drawn")
+    try:
+        mjcf_of(model.robot)
+    except ConfigError as error:
+        raise ConfigError(f"{error}; a leg's experiments are drawn") from None
     if model.robot.prescribed_names:
         raise ConfigError(
             f"{model.name}: the motion of {', '.join(model.robot.prescribed_names)} is prescribed, expected a robot "

@@ -82,11 +82,6 @@ class RobotTraits:
     usual_lag: float
     usual_delay: float
 
-    @property
-    def has_elastic_actuators(self) -> bool:
-        """Whether it is of the kind of ``robots.elastic``, which controllers and plants drive by pressures."""
-        return self.catalogue == "elastic"
-
 
 @dataclass(frozen=True, eq=False)
 class Robot(ABC):
@@ -352,6 +347,14 @@ class Robot(ABC):
         """What a controller of it can compute with."""
 
     # What effects and recordings ask.
+
+    @property
+    def has_torque_domain(self) -> bool:
+        """Whether forces of all drives follow from where joints are, how fast they move and what was commanded lately.
+
+        Then models can also be compared by inverse dynamics along measured motions, see ``engines.mjcf_inverse``.
+        """
+        return False
 
     def clipped_commands(self) -> dict[str, tuple[float, float]]:
         """Actuator → (low, high) at which a simulation clips its commands, for those where it does."""

@@ -68,12 +68,12 @@ def load_elastic(path: Path | str | None = None) -> Model:
     """The model in a model file, of a robot with elastic actuators alone; the nominal leg where ``path`` is None.
 
     Raises:
-        ConfigError, ModelError: see ``load_model``; also for an MJCF robot.
+        ConfigError, ModelError: see ``load_model``; also for a robot whose actuators have no lengths of their own.
     """
     model = load_model(path)
-    if not model.robot.traits.has_elastic_actuators:
+    if "lengths" not in model.robot.offers:
         raise ConfigError(
-            f"{path}: is an MJCF robot, which this is not for; identify, diagnose, prove, score, "
+            f"{path}: is a robot without elastic actuators, which this is for; identify, diagnose, prove, score, "
             "sensitivity, list parameters and recordings check take it"
         )
     return model

@@ -9,7 +9,7 @@ import mujoco
 import numpy as np
 
 from equimus_ctrl.robots.base import Need, Robot
-from equimus_ctrl.robots.mjcf.actuators import OWN, exerts_its_command
+from equimus_ctrl.robots.mjcf.actuators import FILTERS, OWN, exerts_its_command
 from equimus_ctrl.robots.mjcf.entries import Axis, Drive
 from equimus_ctrl.robots.mjcf.obstacles import switched_off
 from equimus_ctrl.types import Array, frozen_array
@@ -114,6 +114,13 @@ class Driven(Robot):
                 own = int(model.actuator_gaintype[i]) in OWN or gain == 0
                 found[k] = length if own else -(float(bias[0]) + float(bias[1]) * length) / gain
         return found
+
+    @property
+    def has_torque_domain(self) -> bool:
+        """As of any robot: drives remember nothing but filtered commands, nothing ties joints, and all are measured."""
+        base = self.plan.base
+        filters = sum(int(kind) in FILTERS for kind in base.actuator_dyntype)
+        return bool(base.na == filters and not base.neq and base.nv == len(self.joints) + len(self.prescribed_names))
 
     @property
     def offers(self) -> frozenset[Need]:
