@@ -94,6 +94,14 @@ def test_it_is_compared(folder: Path, capsys: pytest.CaptureFixture[str]) -> Non
     assert set(errors) == {"leaning", "open_loop"} and errors["leaning"] != errors["open_loop"]
 
 
+def test_a_robot_that_lacks_what_the_controller_computes_with_is_not_driven(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    Path("robot.xml").write_text(PENDULUM.format(drive=MOTOR))
+    assert main(["run", "hold", *OWN, "-c", "leaning", "--model", "robot.xml", *QUIET]) == 2
+    assert "lengths of elastic actuators, which arm does not have" in capsys.readouterr().err
+
+
 @pytest.mark.slow
 def test_the_effect_is_diagnosed_and_told(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     xml, runs = written(folder, 0.15)

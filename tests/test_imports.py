@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import ast
-import re
 from collections.abc import Iterator
 from functools import lru_cache
 from pathlib import Path
@@ -233,12 +232,3 @@ def test_wall_clock_time_does_not_enter_the_physics() -> None:
         if name.split(".")[0] in ("time", "datetime", "random")
     ]
     assert not wrong, "\n".join(wrong)
-
-
-def test_the_files_that_contributing_names_are_there() -> None:
-    named = re.findall(r"`((?:\w+/)+\w+\.py)`", (ROOT.parent / "CONTRIBUTING.md").read_text(encoding="utf-8"))
-    assert len(named) > 20
-    missing = [name for name in named if not (ROOT / name).is_file() and not (ROOT.parent / name).is_file()]
-    assert not missing
-    stages = [name for name in named if name.startswith("diagnosis/")]
-    assert len(stages) == len(set(stages))  # each is to be opened once

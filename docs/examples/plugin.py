@@ -47,6 +47,7 @@ eq.register_controller(
         "static pressures, some less",
         lambda given: Leaning(**(given.settings or {})),
         settings="leaning.toml",
+        needs=frozenset({"lengths"}),
         search={"share": eq.Range(0.5, 1.5, 0.95, scale="linear")},
     ),
 )
