@@ -34,9 +34,10 @@ first-order gains predict little. What differs:
     rounds outdone by a residual force  none                          one (``PATIENCE``)
     the model without effects           fitted once                   refitted from the first effect's fit
     after each addition                 exchanged, from two parts on  the same, then pruned and simplified
-    at the end                          contested, then fewer places  neither
+    at the end                          contested, then fewer places  fewer laws, then pruned and simplified
     what else fits in a part's place    fitted beside the other parts also what did beside any others (``in_place``)
-    what held-out trials do not confirm is dropped                    exchanged for another hypothesis fitted, if any
+    what held-out trials do not confirm dropped; of one part alone    exchanged for another hypothesis fitted, if any
+                                        another that they confirm     they confirm, else as on the left
 """
 
 from __future__ import annotations
