@@ -19,7 +19,7 @@ from equimus_ctrl.controllers.placement import DAMPING
 from equimus_ctrl.effects import Effect, FirstOrderLag, PayloadMass, TransportDelay
 from equimus_ctrl.engines import native
 from equimus_ctrl.errors import ControllerError
-from equimus_ctrl.estimation.beliefs import followed
+from equimus_ctrl.estimation.noise_model import followed
 from equimus_ctrl.models.dynamics import Dynamics
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.models.prediction import prediction, steps_in

@@ -29,7 +29,7 @@ from equimus_ctrl.controllers.placement import DAMPING, DECAYS, GROWS, PHASE, RA
 from equimus_ctrl.effects.command import DELAY
 from equimus_ctrl.effects.sensors import SENSOR_DELAY, sensor_settings
 from equimus_ctrl.errors import ControllerError, NotAvailable
-from equimus_ctrl.estimation.beliefs import Beliefs, followed
+from equimus_ctrl.estimation.noise_model import NoiseModel, followed
 from equimus_ctrl.estimation.observer import ObserverSettings
 from equimus_ctrl.models.dynamics import LOST, Dynamics, Linear
 from equimus_ctrl.models.linear import valve_lag, with_valves
@@ -74,7 +74,7 @@ class Allowances:
         angle: (nj,) errors [rad or m].
         rate: (nj,) velocities [rad/s or m/s].
         effort: (na,) commands beyond what the reference asks for, in their unit; with ω at most, see ``efforts``.
-        beliefs: of the observer; None where its settings say it.
+        noise_model: of the observer; None where its settings say it.
         bandwidth: ω [rad/s]; 0 where settings say all.
         late: ω was found stable with what usually stands between commands and forces unknown.
         everywhere: and in all poses looked at, else only where the robot begins.
@@ -89,7 +89,7 @@ class Allowances:
     angle: Array
     rate: Array
     effort: Array
-    beliefs: Beliefs | None = None
+    noise_model: NoiseModel | None = None
     bandwidth: float = 0.0
     late: bool = True
     everywhere: bool = True
@@ -249,7 +249,7 @@ def _of_bandwidth(
     bare = Allowances(angle, rate, np.where(span > 0, span, np.inf), None, bandwidth)
     inertia = np.median([1 / np.diag(np.linalg.inv(own.mass)) for own in poses], axis=0)
     usual = bare.efforts(np.linalg.inv(poses[0].mass) @ poses[0].drive)
-    return replace(bare, usual=usual, beliefs=followed(inertia, usual, bandwidth, noise, dt))
+    return replace(bare, usual=usual, noise_model=followed(inertia, usual, bandwidth, noise, dt))
 
 
 class Loop:
@@ -374,16 +374,16 @@ class Loop:
 
     def _filter(self, own: Allowances) -> Array:
         """(n + nj, nj) the settled gain of the observer."""
-        assert own.beliefs is not None
-        nj, dt, n, believed, f = self._nj, self._dt, len(self._a), own.beliefs, self._f
-        kick = self._pushed * (believed.torque / np.sqrt(dt))
+        assert own.noise_model is not None
+        nj, dt, n, assumed, f = self._nj, self._dt, len(self._a), own.noise_model, self._f
+        kick = self._pushed * (assumed.torque / np.sqrt(dt))
         noise = np.zeros_like(f)
         noise[:n, :n] = kick @ kick.T
         lagging = np.arange(2 * nj, n)
-        noise[lagging, lagging] += dt * believed.pressure[self._slow] ** 2
-        noise[n:, n:] = np.diag(dt * believed.walk**2)
+        noise[lagging, lagging] += dt * assumed.pressure[self._slow] ** 2
+        noise[n:, n:] = np.diag(dt * assumed.walk**2)
         see = np.eye(nj, len(f))
-        error = np.diag(np.full(nj, believed.noise**2))
+        error = np.diag(np.full(nj, assumed.noise**2))
         spread = solve_discrete_are(f.T, see.T, noise, error)
         return np.asarray(np.linalg.solve(spread[:nj, :nj] + error, spread[:nj]).T)
 

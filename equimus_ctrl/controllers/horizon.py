@@ -228,7 +228,7 @@ class Horizon:
         begins = spec.model.home if pose is None else pose
         allowed = allowances(spec, settings, np.zeros(len(spec.joints)) if begins is None else begins)
         bank = bank_of(spec, banked)
-        self.observer = Observer.of(spec, settings.observer, settings.compiled, allowed.beliefs, bank)
+        self.observer = Observer.of(spec, settings.observer, settings.compiled, allowed.noise_model, bank)
         model = self.observer.model
         self._waiting = waiting(model, self.dt)
         lasting = periods(self._waiting)

@@ -361,7 +361,7 @@ class LqrController:
         allowed = allowances(spec, s, position, bounded=True)
 
         def made(own: PlantSpec, bank: ValveBank | None = None) -> LqrTools:
-            observer = Observer.of(own, s.observer, beliefs=allowed.beliefs, bank=bank)
+            observer = Observer.of(own, s.observer, noise_model=allowed.noise_model, bank=bank)
             model, dt = observer.model, own.control_dt
             inverse = Inverse(model, dt, s.start_time if allowed.driven.all() else 0.0)
             return LqrTools(observer, inverse, Schedule(model, s, dt, allowed), dt)

@@ -7,7 +7,7 @@ Some joint has no actuator, something may touch, or no equations of motion hold 
 
 over a horizon of H: errors e in the robot's own scales s (``predictive.measures``), commands beyond what the reference
 asks for in half their ranges h, what energy is lacking at the end, where actuators cannot do any motion, and what the
-regulator would cost from there on, as far as a linear model can be believed. Nothing but options says how many plans
+regulator would cost from there on, as far as a linear model holds. Nothing but options says how many plans
 are tried, so that a run gives the same bits each time, however quick the computer is.
 """
 

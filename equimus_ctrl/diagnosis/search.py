@@ -16,7 +16,7 @@ The moves:
     unite      several laws → one that explains as much                    ``with_fewer_laws``, then pruned, simplified
     simplify   Stribeck → Coulomb friction, and such, where that will do   ``simplified``
 
-A search of an MJCF robot begins with the laws that its measured torques ask for (``begun_in_torques``), each enriched
+A search with a torque domain begins with the laws that measured torques ask for (``begun_in_torques``), each enriched
 where a richer one fits better; every other search with the refitted model alone.
 
 Where errors grow along a trial, fits have many local minima (``SearchSettings.many_minima``): deviances scatter, and

@@ -21,7 +21,7 @@ from equimus_ctrl.effects.sensors import OFFSET, SCALE, SENSOR_DELAY, behind
 from equimus_ctrl.effects.valves import shaped_commands
 from equimus_ctrl.engines.native import native
 from equimus_ctrl.errors import ConfigError, ControllerError
-from equimus_ctrl.estimation.beliefs import Beliefs, pressed
+from equimus_ctrl.estimation.noise_model import NoiseModel, pressed
 from equimus_ctrl.estimation.valve_bank import BankState, Carried, Sent, ValveBank
 from equimus_ctrl.models.buffered import Buffered
 from equimus_ctrl.models.model import Model
@@ -43,7 +43,7 @@ EARLY = 1e-9
 class ObserverSettings:
     """Covariances of the Kalman filter; shares are of the largest torque that the actuators can exert on a joint.
 
-    Shares hold where commands are pressures; what is believed of other robots stands in ``estimation.beliefs``.
+    Shares hold where commands are pressures; what is assumed of other robots stands in ``estimation.noise_model``.
 
     Attributes:
         noise: standard deviation of a measured angle [rad].
@@ -154,7 +154,7 @@ class Observer:
         control_dt: time between two control instants [s].
         settings: its covariances.
         compiled: whether a C compiler is used where there is one.
-        beliefs: in place of the settings' shares; needed where commands are no pressures.
+        noise_model: in place of the settings' shares; needed where commands are no pressures.
         bank: hypotheses of valves that are later than is known; what the filter itself says does not depend on it.
 
     Attributes:
@@ -168,7 +168,7 @@ class Observer:
         control_dt: float,
         settings: ObserverSettings | None = None,
         compiled: bool = False,
-        beliefs: Beliefs | None = None,
+        noise_model: NoiseModel | None = None,
         bank: ValveBank | None = None,
     ) -> None:
         self.bank = bank
@@ -182,7 +182,7 @@ class Observer:
         self._sensor_delay: Array = p.sensor[:, SENSOR_DELAY].copy()
         longest = control_dt / steps_in(model, control_dt)
         self._substep = min(longest, STABLE / max(*followed_rates(model), STABLE / control_dt))
-        self.beliefs = own = beliefs or pressed(model, s.torque, s.disturbance, s.pressure, s.noise)
+        self.noise_model = own = noise_model or pressed(model, s.torque, s.disturbance, s.pressure, s.noise)
         walk = np.zeros(p.nx + p.nj)
         walk[2 * p.nj : 2 * p.nj + p.na] = own.pressure
         walk[p.nx :] = own.walk
@@ -197,7 +197,7 @@ class Observer:
         spec: PlantSpec,
         settings: ObserverSettings | None = None,
         compiled: bool = False,
-        beliefs: Beliefs | None = None,
+        noise_model: NoiseModel | None = None,
         bank: ValveBank | None = None,
     ) -> Observer:
         """For what a controller may know of a plant; arguments are those of the class.
@@ -206,7 +206,7 @@ class Observer:
             ControllerError: where the plant offers no model.
         """
         require_model(spec)
-        return cls(Model(spec.model, spec.effects, spec.phase), spec.control_dt, settings, compiled, beliefs, bank)
+        return cls(Model(spec.model, spec.effects, spec.phase), spec.control_dt, settings, compiled, noise_model, bank)
 
     def init(self, observation: Observation) -> ObserverState:
         """A robot that has long been at rest under the command in force.
@@ -225,8 +225,8 @@ class Observer:
         deviation = np.full(p.nx + p.nj, 1e-6)
         deviation[: p.nj] = s.noise
         deviation[p.nj : 2 * p.nj] = AT_REST
-        deviation[2 * p.nj : 2 * p.nj + p.na] = self.beliefs.pressure
-        deviation[p.nx :] = self.beliefs.first
+        deviation[2 * p.nj : 2 * p.nj + p.na] = self.noise_model.pressure
+        deviation[p.nx :] = self.noise_model.first
         start = observation.stamp - float(self._sensor_delay.max())
         sent = Sent(np.array([-math.inf]), arriving)
         seen = np.full(p.nj, observation.stamp)

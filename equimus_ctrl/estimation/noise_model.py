@@ -1,7 +1,7 @@
-"""What an observer believes of what pushes a robot about: white torques, unknown torques that walk, straying drives.
+"""What an observer assumes of what pushes a robot about: white torques, unknown torques that walk, straying drives.
 
 Where commands are pressures, shares of what the actuators can exert. Any other robot may have drives without a limit;
-what is believed of it follows from how fast the observer is to be. Of a joint with inertia I that white torques of
+what is assumed of it follows from how fast the observer is to be. Of a joint with inertia I that white torques of
 density σ_τ push, positions being measured every Δt with noise σ, the Kalman filter's poles lie at
 
     ω_o = √(σ_τ / (I σ √Δt)),    and an unknown torque that walks with σ_d is found with the rate σ_d / σ_τ.
@@ -31,7 +31,7 @@ STRAYS = 0.005
 
 
 @dataclass(frozen=True, eq=False)
-class Beliefs:
+class NoiseModel:
     """Densities and deviations, see ``estimation.observer``.
 
     Attributes:
@@ -49,7 +49,7 @@ class Beliefs:
     noise: float
 
 
-def pressed(model: Model, torque: float, disturbance: float, pressure: float, noise: float) -> Beliefs:
+def pressed(model: Model, torque: float, disturbance: float, pressure: float, noise: float) -> NoiseModel:
     """Of a robot whose commands are pressures; arguments as of ``estimation.observer.ObserverSettings``."""
     robot = elastic_of(changed_bodies(model.effects, model.robot))
     low, high = (np.clip(side, -np.pi, np.pi) for side in robot.joint_range)
@@ -57,7 +57,7 @@ def pressed(model: Model, torque: float, disturbance: float, pressure: float, no
     area = np.array([a.area for a in robot.actuators])
     span = robot.command_high - robot.command_low
     most: Array = np.abs(Kinematics(robot, model.phase).jacobian(middle).T * area) @ np.full(len(area), span)
-    return Beliefs(
+    return NoiseModel(
         torque * most,
         disturbance * most,
         FIRST * most,
@@ -66,7 +66,7 @@ def pressed(model: Model, torque: float, disturbance: float, pressure: float, no
     )
 
 
-def followed(inertia: Array, effort: Array, bandwidth: float, noise: float, dt: float) -> Beliefs:
+def followed(inertia: Array, effort: Array, bandwidth: float, noise: float, dt: float) -> NoiseModel:
     """Of a robot in a loop.
 
     Args:
@@ -80,4 +80,4 @@ def followed(inertia: Array, effort: Array, bandwidth: float, noise: float, dt: 
     walk = TAKEN_UP * bandwidth * torque
     # After as long as the loop takes, the unknown torques may be what white ones would have come to.
     strays = STRAYS * math.sqrt(bandwidth) * effort
-    return Beliefs(torque, walk, torque * math.sqrt(bandwidth) * QUICKER, strays, noise)
+    return NoiseModel(torque, walk, torque * math.sqrt(bandwidth) * QUICKER, strays, noise)
