@@ -11,7 +11,9 @@ Its variance by blocks is (White, 1980; of clusters Liang & Zeger, 1986)
 
     Σ e_b²/(cᵀc)²,    e_b = c_bᵀ(r₀ − b·c)_b,
 
-so t² = b²(cᵀc)²/Σ e_b² is the gain over the dispersion Σ e_b²/cᵀc, which is 1 where all that is left is the noise.
+so t² = b²(cᵀc)²/Σ e_b² is the gain over the dispersion Σ e_b²/cᵀc, which is 1 where all that is left is the noise. Of
+the blocks' shares s_b = c_bᵀc_b/cᵀc, f = 1/Σ s_b² − 1 degrees of freedom are left once b is estimated, as many as of so
+many blocks with equal shares less one; so the sum is taken times (f + 1)/f, by which it is too small in the mean.
 Likewise −2Δln L is compared with what it would be by chance, times the dispersion, under a model that is not quite
 right (Kent, 1982).
 """

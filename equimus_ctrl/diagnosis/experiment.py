@@ -49,10 +49,10 @@ def separating(
     equivalent: Sequence[Sequence[Equivalent]],
     designs: Designs,
 ) -> Experiment | None:
-    """The design in which the strongest finding that has an equivalent differs most from it.
+    """The design in which the strongest finding that has an equivalent differs most from it; None where none has.
 
-    The distance is that of the two predictions after the second model's free parameters are refitted to the first, to
-    first order; None where nothing is equivalent.
+    The distance is √(Σ d²/n): d the difference of the two predictions, less what the second model's free parameters
+    can undo to first order, over the standard deviation of the residuals that the search's end leaves at each joint.
 
     Args:
         data: what was measured.

@@ -121,7 +121,7 @@ class Fitted:
 
 @dataclass(frozen=True, eq=False)
 class Data:
-    """What hypotheses are fitted to.
+    """What hypotheses are fitted to, and how: all that a fit needs beside the hypothesis.
 
     Attributes:
         free: the parameters to estimate without any effect.
@@ -132,7 +132,7 @@ class Data:
         fine: a slower one with a smaller discretisation error; the same by default.
         policy: how they are fitted and searched.
         budget: after each step of a fit it is asked whether to go on.
-        thresholds: that decide.
+        thresholds: by which fits are compared.
     """
 
     free: FreeParameters
@@ -198,6 +198,10 @@ class Data:
             steps: at most.
             tolerance: of the cost, relative.
             settled: labels of parts that begin where a fit has them: discontinuous parameters of these stay there.
+
+        Raises:
+            BudgetSpent: where the budget ends.
+            SimulationDiverged: where the model diverges on every segment wherever it begins.
         """
         factor = COARSE_TOLERANCE if self.policy.coarse_derivatives else 1
         settings, scan = FitSettings(tolerance * factor, steps), replace(QUICK_SCAN, but=frozenset(settled))
@@ -211,6 +215,9 @@ class Data:
             fitted: where it begins.
             noise: of the first iteration; by default estimated from the residuals of ``fitted``.
             settled: whether a fit has had all its discontinuous parameters where they are.
+
+        Raises:
+            BudgetSpent, SimulationDiverged: as of ``coarse_fit``.
         """
         best, scan = fitted, QUICK_SCAN if settled else FULL_SCAN
         for _ in range(ROUNDS):
@@ -226,7 +233,11 @@ class Data:
         return best
 
     def converge_finely(self, fitted: Fitted) -> Fitted:
-        """The same with the fine engine, from where it is."""
+        """The same with the fine engine, from where it is.
+
+        Raises:
+            BudgetSpent, SimulationDiverged: as of ``coarse_fit``.
+        """
         if self.fine is None:
             return fitted
         finely = replace(self, simulator=self.fine, coarse=None, fine=None)
@@ -238,6 +249,9 @@ class Data:
 
         Measured motion brings its noise there, which no interval of the parameters counts. The same fit where nothing
         hangs on the motion before a start.
+
+        Raises:
+            BudgetSpent, SimulationDiverged: as of ``coarse_fit``.
         """
         best = fitted
         for _ in range(ROUNDS if any(s.trial.led is not None for s in self.segments) else 0):
@@ -437,6 +451,7 @@ class Data:
         """The model without any hypothesis, refitted.
 
         Raises:
+            BudgetSpent: where the budget ends.
             SimulationDiverged: where it diverges on every trial.
         """
         start = [s.start for s in self.segments]
@@ -453,6 +468,9 @@ class Data:
             short: the same fitted to shooting intervals so short that errors do not grow in them. Initial states are
                 then carried on along the measurements.
             base: the fit so far.
+
+        Raises:
+            BudgetSpent: where the budget ends.
         """
         starts, _ = followed(short.fit.model, self.segments, self.simulator)
         try:
@@ -492,6 +510,6 @@ def _distinguishable(gain: float, t: Thresholds) -> bool:
 
 
 def chi_squared(noise: Noise, times: Sequence[Array], values: Sequence[Array]) -> float:
-    """χ² = Σ w² of the whitened values w, for each segment (m, nj) at times (m,) [s]."""
+    """χ² = Σ w² of the whitened values w, for each segment (m, nj + ne) at times (m,) [s]."""
     whitened_values = (whiten(noise, t, v) for t, v in zip(times, values, strict=True))
     return sum(float((w**2).sum()) for w in whitened_values)

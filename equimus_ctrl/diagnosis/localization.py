@@ -78,7 +78,11 @@ def localise(
 
 
 def _densest(classes: Sequence[Class], squares: Sequence[Array]) -> str:
-    """The class with the highest density of the squared residuals, with both shares."""
+    """The class with the largest p·ln(p/s), in words, with both shares.
+
+    p is its share of the excess squared residuals, s that of the samples: its term of the divergence of the one from
+    the other (Kullback & Leibler, 1951). So neither a tiny class that is dense nor a large one that is not is the one.
+    """
     everything = np.concatenate(squares)
     total = float(everything.sum())
     if total <= 0:

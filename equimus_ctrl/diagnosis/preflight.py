@@ -59,7 +59,7 @@ def check(model: Model, recordings: Sequence[Recording]) -> None:
         model: of any robot. Of one whose stops give way, angles may lie beyond them; they are not looked at.
         recordings: with the robot's joints and actuators, in its order.
     """
-    if not model.robot.traits.held_in_place:
+    if not model.robot.traits.stops_give_way:
         _check_angles(model.robot, recordings)
     if model.robot.has_torque_domain:
         _check_forces(model, mjcf_of(model.robot), recordings)

@@ -163,6 +163,9 @@ def screen(data: Data, fitted: Fitted, pool: Sequence[Candidate]) -> list[Screen
 
     Returns:
         One for each that can be added, in the pool's order.
+
+    Raises:
+        BudgetSpent: where the budget ends.
     """
     guesses = _initial_guesses(data, fitted, pool)
     if not guesses:

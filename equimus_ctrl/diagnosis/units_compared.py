@@ -103,7 +103,17 @@ def model_estimates(best: Fitted, count: int) -> list[Estimate]:
 
 
 def another_unit(search: Search, end: SearchState, split: Split) -> AnotherUnit | None:
-    """What of the model's parameters is not nominal; None where the nominal values fit as well."""
+    """What of the model's parameters is not nominal; None where the nominal values fit as well.
+
+    They do where χ² is higher with them by no more than an effect of as many parameters has to gain, or where on
+    validation trials the fitted values gain less than ``Thresholds.validation_share`` of what they gain on as many of
+    the samples fitted.
+
+    Args:
+        search: that ended.
+        end: of it.
+        split: with the validation trials.
+    """
     data, best = search.data, end.best
     n = len(data.free.free)
     model = _with_nominal_values(search, best)

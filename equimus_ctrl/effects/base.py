@@ -35,6 +35,11 @@ class Effect:
     Where an effect does nothing is said once. A ``ForceEffect`` names its ``neutral`` parameter values; any other names
     in ``nothing`` the value of its first parameter. ``grows_from`` and ``fades_to`` follow from these.
 
+    A class has to say ``name``, ``sits_at`` and ``summary``; its base says ``side``. ``robots``, ``alike``,
+    ``exclusive``, ``delays``, ``discontinuous``, ``special_cases``, the sizes of a proof and the methods it says where
+    the default is not right. Of a ``ForceEffect`` ``rubs``, ``loads``, ``scales``, ``own_equations`` and, with dry
+    friction, ``mujoco_flags`` follow from the methods that it has, whatever it says.
+
     Attributes:
         location: the joint, actuator or body it sits at.
 

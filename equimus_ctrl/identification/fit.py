@@ -42,7 +42,7 @@ UNSEEN = 1e-3
 of the sum of squares: such as where across a planar arm a mass sits. Rounding would take it to a bound."""
 
 Begin = tuple[Array, Sequence[Array]]
-"""Parameters (p,) and, for each segment, its start (2 nj + nz,)."""
+"""Parameters (p,) and, for each segment, its start (2 nj + nz + 2 nl,), see ``Segment.start``."""
 
 
 @dataclass(frozen=True)
@@ -85,10 +85,11 @@ class Fit:
         parameters: what was free.
         theta: (p,) the values found.
         model: the model with them.
-        starts: for each segment (2 nj + nz,) its start as the sensors show it, and their zeros [rad, rad/s, rad].
+        starts: for each segment (2 nj + nz + 2 nl,) its start as the sensors show it, see ``Segment.start``.
         residuals: for each segment (m, nj + ne) measured − predicted, of joints first [rad, or other units].
         before: the same of the initial model.
-        cost: sum of squares that was minimised, in units of the noise's variance where a noise was given, else [rad²].
+        cost: sum of squares that was minimised, in units of the noise's variance where a noise was given, else in those
+            of the residuals, squared.
         at_bound: (p,) −1, 0, 1: where a bound holds a parameter back.
         evaluations: how many parameter sets were simulated.
         converged: whether the search ended by itself.
@@ -119,12 +120,12 @@ class Fit:
 
     @property
     def jacobians(self) -> list[Array]:
-        """For each segment (m, nj, p) ∂prediction/∂θ."""
+        """For each segment (m, nj + ne, p) ∂prediction/∂θ."""
         return self.derivatives[0]
 
     @property
     def start_jacobians(self) -> list[Array]:
-        """For each segment (m, nj, s) ∂prediction/∂(free initial state)."""
+        """For each segment (m, nj + ne, s) ∂prediction/∂(free initial state)."""
         return self.derivatives[1]
 
     @property
@@ -136,7 +137,7 @@ class Fit:
 
     @property
     def rmse(self) -> Array:
-        """(nj,) [rad]."""
+        """(nj,) of the model found [rad or m]."""
         return joint_rmse(self.residuals)[: len(self.model.robot.joint_names)]
 
     @property
@@ -155,7 +156,7 @@ class Fit:
 
     @property
     def rmse_before(self) -> Array:
-        """(nj,) of the initial model [rad]."""
+        """(nj,) of the initial model [rad or m]."""
         return joint_rmse(self.before)[: len(self.model.robot.joint_names)]
 
 

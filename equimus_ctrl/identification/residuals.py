@@ -13,9 +13,10 @@ from equimus_ctrl.models.model import Model
 from equimus_ctrl.types import Array
 
 DIVERGED = 3.0
-"""Residual of a sample that a diverging simulation could not give [rad]: worse than any real one, yet finite."""
+"""Residual of a sample that a diverging simulation could not give [rad or m; of a channel in units of its scale]: worse
+than any real one, yet finite."""
 FARTHEST = float(np.nextafter(DIVERGED, 0.0))
-"""Of samples that a simulation did give, for one that is farther off: what turns over may be turns away [rad]."""
+"""Largest residual of a sample that a simulation did give, in the same units: what turns over may be turns away."""
 DIFFERENCE, SMALL_DIFFERENCE = 1e-5, 1e-7
 """Step of the finite differences: of parameters in units of their scales, of angles [rad] and velocities [rad/s] at a
 start. The small one is for what grows along a segment, see ``difference``."""
@@ -26,7 +27,7 @@ PARTS = (0.125, 0.25, 0.5)
 
 
 def joint_rmse(residuals: Sequence[Array]) -> Array:
-    """(nj,) root mean square of all segments' residuals [rad]."""
+    """(nj + ne,) root mean square of all segments' residuals, of joints [rad or m] and then of channels."""
     return np.asarray(np.sqrt((np.concatenate(residuals) ** 2).mean(axis=0)))
 
 
@@ -41,7 +42,7 @@ def difference(model: Model, simulator: Simulator) -> float:
 
 
 def residual_of(segment: Segment, found: Predicted, index: int) -> Array:
-    """(m, nj) of one of a segment's predictions; DIVERGED from where it diverged on."""
+    """(m, nj + ne) of one of a segment's predictions; DIVERGED from where it diverged on."""
     one = Predicted(found.position[index : index + 1], found.reached[index : index + 1])
     return np.asarray(stacked_residuals([segment], [one])[0, 0])
 
@@ -61,18 +62,19 @@ def stacked_residuals(segments: Sequence[Segment], found: Sequence[Predicted]) -
 def residuals_of(
     model: Model, segments: Sequence[Segment], simulator: Simulator, improved: int = STARTS
 ) -> list[Array]:
-    """For each segment (m, nj) measured − predicted [rad]; DIVERGED where there is none, see ``followed``."""
+    """For each segment (m, nj + ne) measured − predicted; DIVERGED where nothing is predicted, see ``followed``."""
     return followed(model, segments, simulator, improved)[1]
 
 
 def followed(
     model: Model, segments: Sequence[Segment], simulator: Simulator, improved: int = STARTS
 ) -> tuple[list[Array], list[Array]]:
-    """For each segment its start (2 nj + nz,) and (m, nj) measured − predicted from there [rad].
+    """For each segment its start (2 nj + nz + 2 nl,) and (m, nj + ne) measured − predicted from there.
 
-    These are DIVERGED where nothing is predicted. Starts are measured ones. Those of robots that need not start at rest
-    are improved by Gauss and Newton's method over a growing part of the segment: where errors grow along it, a start as
-    it was measured may lie in another local minimum than the true one, and a short part has but one.
+    These are DIVERGED where nothing is predicted. Starts, see ``Segment.start``, are measured ones. Those of robots that
+    need not start at rest are improved by Gauss and Newton's method over a growing part of the segment: where errors
+    grow along it, a start as it was measured may lie in another local minimum than the true one, and a short part has
+    but one.
 
     Args:
         model: that predicts.

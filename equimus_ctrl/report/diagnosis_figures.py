@@ -83,7 +83,7 @@ def _part(diagnosis: Diagnosis) -> tuple[str, Sequence[Segment]]:
 
 
 def _residual(diagnosis: Diagnosis, state: str, k: int) -> Array:
-    """(m, nj) of a segment [rad]; nan where the model diverged."""
+    """(m, nj) of a segment [rad or m]; nan where the model diverged."""
     part, _ = _part(diagnosis)
     values = np.array(getattr(diagnosis.residuals[state], part)[k])
     values[np.abs(values) >= DIVERGED] = np.nan

@@ -39,6 +39,8 @@ class RobotTraits:
         held_in_place: springs pull every joint to one pose under each command. So small errors do not grow along a
             trial, which can be fitted whole, and poses at rest identify parameters. Else errors add up: fits have many
             local minima, and trials may have to be cut into shooting intervals.
+        stops_give_way: joints may go beyond the ends of their ranges, where elastic stops push them back. Else recorded
+            positions lie within.
         smooth_motion: a motion of a tenth of a second is a parabola, so velocities are read off that much of a
             recording and trusted as much as samples are. Motors change velocities within a few samples.
         forces_along_actuators: actuators have a length of their own, which changes with the pose, and forces act along
@@ -67,6 +69,7 @@ class RobotTraits:
     catalogue: Robots
     starts_at_rest: bool
     held_in_place: bool
+    stops_give_way: bool
     smooth_motion: bool
     forces_along_actuators: bool
     commands_are_pressures: bool

@@ -27,9 +27,9 @@ class TrialScore:
 
     Attributes:
         recording: the trial.
-        predicted: (n, nj) at the trial's times [rad].
-        rmse: (nj,) over the scored samples [rad].
-        squares: (nj,) sum of squared errors over them [rad²].
+        predicted: (n, nj) at the trial's times [rad or m].
+        rmse: (nj,) over the scored samples [rad or m].
+        squares: (nj,) sum of squared errors over them [rad² or m²].
         samples: how many.
     """
 
@@ -47,7 +47,7 @@ class RecordingsScore:
     Attributes:
         model: the model.
         trials: one score each.
-        rmse: (nj,) over all samples of all trials [rad].
+        rmse: (nj,) over all samples of all trials [rad or m].
         engine: that predicted.
     """
 

@@ -8,6 +8,7 @@ TRAITS = RobotTraits(
     catalogue="elastic",
     starts_at_rest=True,
     held_in_place=True,
+    stops_give_way=True,
     smooth_motion=True,
     forces_along_actuators=True,
     commands_are_pressures=True,

@@ -10,6 +10,7 @@ TRAITS = RobotTraits(
     catalogue="mjcf",
     starts_at_rest=False,
     held_in_place=False,
+    stops_give_way=False,
     smooth_motion=False,
     forces_along_actuators=False,
     commands_are_pressures=False,
