@@ -71,10 +71,10 @@ def followed(
 ) -> tuple[list[Array], list[Array]]:
     """For each segment its start (2 nj + nz + 2 nl,) and (m, nj + ne) measured − predicted from there.
 
-    These are DIVERGED where nothing is predicted. Starts, see ``Segment.start``, are measured ones. Those of robots that
-    need not start at rest are improved by Gauss and Newton's method over a growing part of the segment: where errors
-    grow along it, a start as it was measured may lie in another local minimum than the true one, and a short part has
-    but one.
+    These are DIVERGED where nothing is predicted. Starts, see ``Segment.start``, are measured ones. Those of robots
+    that need not start at rest are improved by Gauss and Newton's method over a growing part of the segment: where
+    errors grow along it, a start as it was measured may lie in another local minimum than the true one, and a short
+    part has but one.
 
     Args:
         model: that predicts.
