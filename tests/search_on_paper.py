@@ -73,7 +73,7 @@ class OnPaper(Search):
         return found, tried.having(found)
 
     def challenge(
-        self, tried: SearchHistory, fitted: Fitted, instead_of: str = "", alternative: Fitted | None = None
+        self, tried: SearchHistory, fitted: Fitted, instead_of: str = "", rival: Fitted | None = None
     ) -> tuple[list[Fitted], SearchHistory]:
         return [
             f

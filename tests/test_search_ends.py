@@ -88,33 +88,31 @@ class Extending(OnPaper):
     challenge = Search.challenge
 
     def extensions(
-        self, tried: SearchHistory, fitted: Fitted, replaced: str = "", known: Any = None, alternative: float = np.inf
+        self, tried: SearchHistory, fitted: Fitted, replaced: str = "", known: Any = None, rival: float = np.inf
     ) -> tuple[list[Fitted], SearchHistory]:
-        self.extended.append((fitted.deviance, alternative))
+        self.extended.append((fitted.deviance, rival))
         return [self.known(*fitted.labels, OFF)], tried
 
 
 @pytest.mark.parametrize(
-    ("lower", "alternative", "again"),
+    ("lower", "rival", "again"),
     [(0.4, None, False), (0.6, None, True), (60.0, 930.0, False), (170.0, 930.0, True)],
-    ids=["as low", "lower", "none reaches the alternative", "one may reach the alternative"],
+    ids=["as low", "lower", "none reaches the rival", "one may reach the rival"],
 )
 def test_a_hypothesis_is_extended_again_where_its_fit_ended_lower_and_that_may_decide(
-    lower: float, alternative: float | None, again: bool
+    lower: float, rival: float | None, again: bool
 ) -> None:
-    """The extension known lacks 500 of what is listed, which is up to 10 + 60 more than the alternative's deviance.
+    """The extension known lacks 500 of what is listed, which is up to 10 + 60 more than the rival's deviance.
 
     Three times the fall of what is extended has to be more for it to matter.
     """
     search = Extending(Known({(): 5000.0, (RUB,): 4000.0, (RUB, OFF): 1500.0}))
     object.__setattr__(search, "extended", [])
     _, tried = search.challenge(SearchHistory(), search.known(RUB))
-    beside = None if alternative is None else fitted(alternative, RUB, DEAD)
+    beside = None if rival is None else fitted(rival, RUB, DEAD)
     found, _ = search.challenge(tried, fitted(4000.0 - lower, RUB), DEAD, beside)
     assert [own.labels for own in found] == [{RUB, OFF}]
-    assert search.extended[1:] == (
-        [(4000.0 - lower, np.inf if alternative is None else alternative + 70)] if again else []
-    )
+    assert search.extended[1:] == ([(4000.0 - lower, np.inf if rival is None else rival + 70)] if again else [])
 
 
 def test_what_is_listed_has_to_come_near_the_end() -> None:
@@ -134,7 +132,7 @@ def test_a_part_that_takes_the_place_of_one_it_excludes_is_measured_against_none
 
     class Found(OnPaper):
         def challenge(
-            self, tried: SearchHistory, fitted: Fitted, instead_of: str = "", alternative: Fitted | None = None
+            self, tried: SearchHistory, fitted: Fitted, instead_of: str = "", rival: Fitted | None = None
         ) -> tuple[list[Fitted], SearchHistory]:
             # One more part is Stribeck's friction, which leaves no other at that joint.
             own = {(): [RUB], (RUB,): [STICK], (STICK,): []}[tuple(fitted.labels)]

@@ -76,7 +76,7 @@ def test_the_best_that_stands_for_no_other_parameters_is_converged_too() -> None
 
 @pytest.mark.parametrize(("deviance", "further"), [(4000.0, True), (4400.0, False)])
 def test_what_cannot_come_near_its_rival_is_not_fitted_further(deviance: float, further: bool) -> None:
-    """The alternative gains 3000, so it has to gain 0.7·3000 − 50 = 2050; at most three times what a few steps gain."""
+    """The rival gains 3000, so it has to gain 0.7·3000 − 50 = 2050; at most three times what a few steps gain."""
     search = OnPaper(Known({(): 5000.0}))
     asked: list[float] = []
 

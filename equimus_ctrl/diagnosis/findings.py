@@ -285,7 +285,7 @@ def ranking(search: Search, end: SearchState) -> tuple[Ranked, ...]:
     ranked = [
         Ranked(
             named_candidate(s.candidate),
-            max(s.gains.estimated, 0.0),
+            max(s.gains[1], 0.0),
             alone.get(s.candidate.label),
             search.threshold(s.candidate.n_parameters),
         )

@@ -100,7 +100,7 @@ class HypothesisMoves:
         return max(max(t.indistinguishable, share) + self.scatter(t), t.simulation_error * self.data.n)
 
     def challenge(
-        self, tried: SearchHistory, fitted: Fitted, replacing: str = "", alternative: Fitted | None = None
+        self, tried: SearchHistory, fitted: Fitted, replacing: str = "", rival: Fitted | None = None
     ) -> tuple[list[Fitted], SearchHistory]:
         """Hypotheses with one more part, the most promising ones fitted until converged.
 
@@ -110,36 +110,36 @@ class HypothesisMoves:
             tried: the history so far.
             fitted: what they add to.
             replacing: label of a candidate that is not tried, to find others in its place.
-            alternative: the hypothesis with that candidate: what stays far behind it need not be fitted whole.
+            rival: the hypothesis with that candidate: what stays far behind it need not be fitted whole.
         """
-        least = math.inf if alternative is None or self.settings.many_minima else self._listed_from(fitted, alternative)
+        least = math.inf if rival is None or self.settings.many_minima else self._listed_from(fitted, rival)
         for replaced in ("", replacing):
             known = tried.extended.get((fitted.labels, replaced))
-            if known is None or known.alternative < least:
+            if known is None or known.rival < least:
                 continue
             options = [o for o in known.options if replacing not in o.labels and tried.allows(o.candidates)]
             if self._serves(known, options, fitted, least):
                 return options, tried
-        options, tried = self.extensions(tried, fitted, replacing, alternative=least)
+        options, tried = self.extensions(tried, fitted, replacing, rival=least)
         entry = {(fitted.labels, replacing): Extended(fitted, tuple(options), least)}
         return options, replace(tried, extended={**tried.extended, **entry})
 
-    def _listed_from(self, fitted: Fitted, alternative: Fitted) -> float:
-        """Deviance up to which another part of one parameter may fit as well as the alternative's and is listed."""
-        fewer, t = extra_parameters(fitted, alternative) - 1, self.data.thresholds
-        return alternative.deviance + fewer * float(np.log(self.data.n)) + self.equally_good(t) + t.step_scatter
+    def _listed_from(self, fitted: Fitted, rival: Fitted) -> float:
+        """Deviance up to which another part of one parameter may fit as well as the rival's and is listed."""
+        fewer, t = extra_parameters(fitted, rival) - 1, self.data.thresholds
+        return rival.deviance + fewer * float(np.log(self.data.n)) + self.equally_good(t) + t.step_scatter
 
-    def _serves(self, known: Extended, options: Sequence[Fitted], fitted: Fitted, alternative: float) -> bool:
+    def _serves(self, known: Extended, options: Sequence[Fitted], fitted: Fitted, rival: float) -> bool:
         """Whether extensions of an earlier fit do for one of the same hypothesis that ended lower.
 
         Extensions of the lower one may end lower too, by ``SearchSettings.optimism`` times as much. Where even then
-        none reaches the alternative, a deviance to come near to, they decide nothing.
+        none reaches the rival, a deviance to come near to, they decide nothing.
         """
         lower = known.base.deviance - fitted.deviance
         if lower <= CONVERGED_GAIN:
             return True
-        lack = min((option.deviance for option in options), default=-math.inf) - alternative
-        return alternative < math.inf and self.settings.optimism * lower < lack
+        lack = min((option.deviance for option in options), default=-math.inf) - rival
+        return rival < math.inf and self.settings.optimism * lower < lack
 
     def extensions(
         self,
@@ -147,7 +147,7 @@ class HypothesisMoves:
         fitted: Fitted,
         replaced: str = "",
         known: Sequence[str] | None = None,
-        alternative: float = math.inf,
+        rival: float = math.inf,
     ) -> tuple[list[Fitted], SearchHistory]:
         """Hypotheses with one more part: the promising ones, or with some that are known all others.
 
@@ -156,7 +156,7 @@ class HypothesisMoves:
             fitted: what they add to.
             replaced: label of a candidate that is not tried.
             known: labels of those that are known; None where only promising ones are to be fitted.
-            alternative: deviance that they have to come near to.
+            rival: deviance that they have to come near to.
         """
         pool = [c for c in self.allowed_candidates(tried) if c.label not in {replaced, *(known or ())}]
         most = min(self.settings.tried, self.settings.tried_in_place) if replaced else self.settings.tried
@@ -169,8 +169,8 @@ class HypothesisMoves:
         proposals = [*self._promising(fitted, screened, choice), *self._splits(tried, fitted)]
         if self.settings.many_minima and not replaced:
             proposals += (Proposal(*begun) for begun in richer(self.data, fitted, pool))
-        options = self._best_converged(fitted, self._coarse_fits(fitted, proposals, alternative), alternative)
-        options = self._best_of_its_own_converged(fitted, options, alternative)
+        options = self._best_converged(fitted, self._coarse_fits(fitted, proposals, rival), rival)
+        options = self._best_of_its_own_converged(fitted, options, rival)
         return options, tried.having(*options)
 
     def _promising(self, fitted: Fitted, screened: Sequence[Screened], choice: Choice) -> list[Proposal]:
@@ -290,14 +290,14 @@ class HypothesisMoves:
         begins = [(self.data.theta_of(fitted.fit.theta, split), fitted.fit.starts) for split in own]
         return [*proposals, *(Proposal(split, (begin,)) for split, begin in zip(own, begins, strict=True))]
 
-    def _coarse_fits(self, fitted: Fitted, proposals: Sequence[Proposal], alternative: float) -> list[Fitted]:
+    def _coarse_fits(self, fitted: Fitted, proposals: Sequence[Proposal], rival: float) -> list[Fitted]:
         """Those that can be simulated, after a few steps, the best score first.
 
-        Not those whose hope, times ``SearchSettings.optimism``, is less than what the best one gains, or the
-        alternative, or than the acceptance threshold.
+        Not those whose hope, times ``SearchSettings.optimism``, is less than what the best one gains, or the rival, or
+        than the acceptance threshold.
         """
         options, noise = list[Fitted](), white_noise(fitted.fit.residuals)
-        most = fitted.deviance - alternative
+        most = fitted.deviance - rival
 
         def hopeless(proposal: Proposal) -> bool:
             too_little = proposal.hope * self.settings.optimism < most
@@ -332,15 +332,15 @@ class HypothesisMoves:
         more, most = max(rich - simple, 1), self.settings.optimism * gain
         return not self.data.thresholds.decides(lambda t: most > self.threshold(more, t))
 
-    def _best_converged(self, fitted: Fitted, options: Sequence[Fitted], alternative: float) -> list[Fitted]:
+    def _best_converged(self, fitted: Fitted, options: Sequence[Fitted], rival: float) -> list[Fitted]:
         """Coarse fits, best first, of which the first few that are close to the best are fitted until converged.
 
         Where fits have few minima, also others close to it that were still gaining: their rank is not known yet. Not
-        those that after some more steps lack more than a share of what the alternative gains, or gain too little of
-        what they have to, nor those that would even with ``SearchSettings.optimism``: they do not reach it.
+        those that after some more steps lack more than a share of what the rival gains, or gain too little of what
+        they have to, nor those that would even with ``SearchSettings.optimism``: they do not reach it.
         """
         settings = self.settings
-        needed = (1 - settings.alternative_share) * (fitted.deviance - alternative) - settings.kept_gain
+        needed = (1 - settings.rival_share) * (fitted.deviance - rival) - settings.kept_gain
 
         def out_of_reach(option: Fitted) -> bool:
             gain = fitted.deviance - option.deviance
@@ -371,7 +371,7 @@ class HypothesisMoves:
 
         return [after for _, after in computer.side_by_side(self.data.threads, converged, range(len(options)))]
 
-    def _best_of_its_own_converged(self, fitted: Fitted, options: Sequence[Fitted], alternative: float) -> list[Fitted]:
+    def _best_of_its_own_converged(self, fitted: Fitted, options: Sequence[Fitted], rival: float) -> list[Fitted]:
         """Options of which the best that does not stand for other parameters is converged too.
 
         It is taken where the best one is ``aliased``. A fit that is not at its minimum would seem to need fewer parts.
@@ -381,7 +381,7 @@ class HypothesisMoves:
             return list(options)
         own = [option for option in ranked if not self.aliased(option)]
         others = [option for option in options if all(option is not o for o in own)]
-        return [*others, *self._best_converged(fitted, own, alternative)]
+        return [*others, *self._best_converged(fitted, own, rival)]
 
     def _or_of_other_sign(self, fitted: Fitted, option: Fitted) -> Fitted:
         """The best option, or the same law fitted from guesses of the other sign where that ends lower.

@@ -357,8 +357,7 @@ class SearchSettings:
         kept: of them, how many are fitted until converged, where fits have few minima others too that still gain,
         kept_share: where they lack less than this share of the best one's gain in −2 ln L,
         kept_gain: and this much.
-        alternative_share: in the place of a part, only what lacks less than this share of its gain is fitted until
-            converged.
+        rival_share: in the place of a part, only what lacks less than this share of its gain is fitted until converged.
         optimism: beside other parts, fits gain at most so many times what is expected to first order, and converged
             fits so many times what quick ones gain: what then gains less than the best one, or than the acceptance
             threshold, is not fitted further. Gains to first order
@@ -386,7 +385,7 @@ class SearchSettings:
     kept: int = 3
     kept_share: float = 0.5
     kept_gain: float = 50.0
-    alternative_share: float = 0.3
+    rival_share: float = 0.3
     optimism: float = 3.0
     coarse_steps: int = 5
     long_steps: int = 15

@@ -16,7 +16,7 @@ The moves:
     unite      several laws → one that explains as much                    ``with_fewer_laws``, then pruned, simplified
     simplify   Stribeck → Coulomb friction, and such, where that will do   ``simplified``
 
-A search with a torque domain begins with the laws that measured torques ask for (``begun_in_torques``), each enriched
+A search of an MJCF robot begins with the laws that its measured torques ask for (``begun_in_torques``), each enriched
 where a richer one fits better; every other search with the refitted model alone.
 
 Where errors grow along a trial, fits have many local minima (``SearchSettings.many_minima``): deviances scatter, and
@@ -34,10 +34,9 @@ first-order gains predict little. What differs:
     rounds outdone by a residual force  none                          one (``PATIENCE``)
     the model without effects           fitted once                   refitted from the first effect's fit
     after each addition                 exchanged, from two parts on  the same, then pruned and simplified
-    at the end                          contested, then fewer places  fewer laws, then pruned and simplified
+    at the end                          contested, then fewer places  neither
     what else fits in a part's place    fitted beside the other parts also what did beside any others (``in_place``)
-    what held-out trials do not confirm dropped; of one part alone    exchanged for another hypothesis fitted, if any
-                                        another that they confirm     they confirm, else as on the left
+    what held-out trials do not confirm is dropped                    exchanged for another hypothesis fitted, if any
 """
 
 from __future__ import annotations

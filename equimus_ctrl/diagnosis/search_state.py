@@ -41,12 +41,12 @@ class Extended:
     Attributes:
         base: the fit that was extended.
         options: hypotheses with one more part, fitted.
-        alternative: deviance of the hypothesis that the options were measured against; inf without one.
+        rival: deviance of the hypothesis that the options were measured against; inf without one.
     """
 
     base: Fitted
     options: tuple[Fitted, ...]
-    alternative: float = math.inf
+    rival: float = math.inf
 
 
 @dataclass(frozen=True, eq=False)

@@ -98,7 +98,7 @@ def analysed(search: Search, state: SearchState, split: Split, before: Sequence[
         before: what was left beside laws of which some were rejected: its joints are asked again, with or without
             other laws, where no force is found at them to first order.
     """
-    own = _shown_by_torques(search, state.best, residual_analysis(search.data, state.base, state.best, state.without))
+    own = _borne_out(search, state.best, residual_analysis(search.data, state.base, state.best, state.without))
     also = _places(before) - _places(own.unexplained)
     if own.redundant or not (state.best.hypothesis or also) or search.data.free.model.robot.traits.held_in_place:
         return own
@@ -120,7 +120,7 @@ def analysed(search: Search, state: SearchState, split: Split, before: Sequence[
     )
 
 
-def _shown_by_torques(search: Search, best: Fitted, analysis: ResidualAnalysis) -> ResidualAnalysis:
+def _borne_out(search: Search, best: Fitted, analysis: ResidualAnalysis) -> ResidualAnalysis:
     """The same without laws that a force would generalise of which the torque domain shows too little.
 
     There the speed times a function of the angle has to explain that share of what the law does from which on

@@ -1,8 +1,7 @@
 """Where a search begins, and what it does not simulate, by what candidates explain in the torque domain.
 
 Friction in all joints hides each joint's own: one law after the other, none would be found. Least squares over all
-joints find them together, see ``torque_screening``. Nothing is accepted here: simulation has to accept the laws that a
-search begins with. (Where the torque domain does reject a law, see ``torque_agreement`` and ``smooth_laws``.)
+joints find them together, see ``torque_screening``. What is said here decides nothing: simulation has to accept it.
 """
 
 from __future__ import annotations
@@ -24,16 +23,16 @@ from equimus_ctrl.robots.base import Robot
 from equimus_ctrl.types import Array
 
 START_SHARE = 0.1
-"""Least share of what is missing above the noise by which a law lowers it that a search begins with. It saves rounds
-alone: a law left out is found later, one too many is not accepted by simulation."""
+"""A law that a search begins with lowers what is missing above the noise by this share at least. It saves rounds and
+decides nothing: a law left out is found later, one too many is not accepted by simulation."""
 ABOUT = 0.9
-"""Share of the best law's gain with which a simpler one takes its place at the beginning of a search: measured angles
-bias gains in the torque domain by a few per cent. Richer laws are tried in its place by simulation."""
+"""A search begins with the simplest law that gains this share of what the best one does: measured angles bias gains in
+the torque domain by a few per cent. Richer laws are tried in its place by simulation."""
 BEHIND = 0.05
-"""Share of what the best candidate explains below which another is not simulated in this round. That saves time: where
-the best is accepted, the rest is looked at beside it, and where nothing promising is accepted all are."""
+"""Candidates that explain less than this share of what the best one does are not simulated in this round,"""
 AT_LEAST = 12
-"""So many best candidates are simulated in a round however little they explain."""
+"""unless they are among so many best ones. Both save time: where the best one is accepted, the rest is looked at beside
+it, and where nothing of what is promising is accepted all are."""
 SURE = 3.0
 """Standard errors by which a law's own size at a place has to differ from nothing, for a search to begin with it: on
 noise one place in 370 does."""
