@@ -30,7 +30,7 @@ from equimus_ctrl.diagnosis.hypothesis import Candidate, Part, beside
 from equimus_ctrl.diagnosis.hypothesis_moves import HypothesisMoves
 from equimus_ctrl.diagnosis.policy import SearchSettings, Thresholds
 from equimus_ctrl.diagnosis.search import Search
-from equimus_ctrl.diagnosis.search_state import SearchHistory, SearchState, StopReason
+from equimus_ctrl.diagnosis.search_state import RivalDeviance, SearchHistory, SearchState, StopReason, no_rival
 from equimus_ctrl.effects import REGISTRY
 from equimus_ctrl.errors import SimulationDiverged
 from equimus_ctrl.identification.noise import JointNoise
@@ -88,9 +88,14 @@ class Extending(OnPaper):
     challenge = Search.challenge
 
     def extensions(
-        self, tried: SearchHistory, fitted: Fitted, replaced: str = "", known: Any = None, rival: float = np.inf
+        self,
+        tried: SearchHistory,
+        fitted: Fitted,
+        replaced: str = "",
+        known: Any = None,
+        rival: RivalDeviance = no_rival,
     ) -> tuple[list[Fitted], SearchHistory]:
-        self.extended.append((fitted.deviance, rival))
+        self.extended.append((fitted.deviance, rival(Thresholds())))
         return [self.known(*fitted.labels, OFF)], tried
 
 
@@ -181,7 +186,7 @@ def test_what_is_said_of_an_effect_is_what_was_said_last(monkeypatch: pytest.Mon
     said: dict[str, confirmation.Confirmation] = {}
     end = confirmation.confirmed(search, begun, split, said.__setitem__)
     assert end.best.labels == {RUB, DEAD}
-    assert {label: one.ratio for label, one in said.items()} == {RUB: 1.0, DEAD: 1.0}
+    assert {label: one.found for label, one in said.items()} == {RUB: 1.0, DEAD: 1.0}
 
 
 @pytest.mark.parametrize(
@@ -209,7 +214,7 @@ def test_held_out_trials_judge_what_an_ended_search_had_come_to(
     begun = replace(begun, tried=begun.tried.having(*(known(label) for label in fitted_alone)))
     said: dict[str, confirmation.Confirmation] = {}
     end = confirmation.confirmed_as_fitted(Ended(known), begun, split, said.__setitem__)
-    assert end.best.labels == left and said[DEAD].ratio == 0.0 and said.keys() - {DEAD} == left
+    assert end.best.labels == left and said[DEAD].found == 0.0 and said.keys() - {DEAD} == left
     assert [without.labels for without in end.without] == [
         left - {part.candidate.label} for part in end.best.hypothesis
     ]

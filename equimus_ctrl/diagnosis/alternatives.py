@@ -10,7 +10,7 @@ import numpy as np
 
 from equimus_ctrl.diagnosis.fitting import Fitted
 from equimus_ctrl.diagnosis.hypothesis import Candidate, Hypothesis, Part
-from equimus_ctrl.diagnosis.hypothesis_moves import EXCHANGE_MARGIN, HypothesisMoves
+from equimus_ctrl.diagnosis.hypothesis_moves import HypothesisMoves
 from equimus_ctrl.diagnosis.policy import Thresholds
 from equimus_ctrl.diagnosis.search_state import SearchHistory, SearchState
 from equimus_ctrl.identification.parameters import in_group
@@ -45,7 +45,7 @@ def contested(search: HypothesisMoves, state: SearchState) -> SearchState:
         size = len(state.best.hypothesis)
         no_larger = [a for fits in state.alternatives for a in fits if len(a.hypothesis) <= size]
         top = min(no_larger, key=search.score, default=state.best)
-        if search.score(top) >= search.score(state.best) - EXCHANGE_MARGIN:
+        if not search.outdoes(top, state.best):
             break
         state = search.exchanged(replace(state, best=top))
     return state
@@ -207,10 +207,10 @@ def exchanged_beside_fewer(search: HypothesisMoves, state: SearchState) -> Searc
 
     Beside what some effect has at a place too many, others may be no use: a lag of both valves takes part of what a
     delay of both sensors would explain. So where an effect loses next to nothing in fewer places, see
-    ``Thresholds.indistinguishable_share``, parts are exchanged from there. Not where fits have many local minima.
+    ``Thresholds.fewer_places_share``, parts are exchanged from there. Not where fits have many local minima.
     """
     while not search.settings.many_minima:
-        before = search.score(state.best)
+        before = state.best
         for k, part in enumerate(state.best.hypothesis):
             fewer, tried = _all_refitted(search, state.tried, state.best, _hypotheses_in_fewer(search, state, k))
             state = replace(state, tried=tried)
@@ -221,7 +221,7 @@ def exchanged_beside_fewer(search: HypothesisMoves, state: SearchState) -> Searc
             search.notify(f"with {part.candidate.label} at fewer places", state.best.label)
             better, tried = _best_beside(search, tried, top, k)
             state = replace(state, tried=tried)
-            if better is not None and search.score(better) < before - EXCHANGE_MARGIN:
+            if better is not None and search.outdoes(better, before):
                 state = search.exchanged(replace(state, best=better, without=(), alternatives=()))
                 break
         else:
@@ -245,7 +245,7 @@ def _best_beside(
 
 
 def _nearly(search: HypothesisMoves, lost: float, gain: float) -> bool:
-    return search.data.thresholds.decides(lambda t: lost < t.indistinguishable_share * gain)
+    return search.data.thresholds.decides(lambda t: lost < t.fewer_places_share * gain)
 
 
 def _hypotheses_in_fewer(search: HypothesisMoves, state: SearchState, k: int) -> list[Hypothesis]:
@@ -281,7 +281,11 @@ def _in_fewer_places(search: HypothesisMoves, state: SearchState, score: float) 
 
 
 def indistinguishable(search: HypothesisMoves, fitted: Fitted, score: float) -> bool:
-    """Whether a hypothesis is not distinguishable from one with a score, or better."""
+    """Whether a hypothesis fits as well as one with a score, or better: its score, a BIC, is higher by less than δ.
+
+    δ is ``Thresholds.indistinguishable``. It is asked where a hypothesis is to take another's place. What is listed as
+    not distinguishable may differ by more, see ``HypothesisMoves.equally_good``.
+    """
     more = search.score(fitted) - score
     return search.data.thresholds.decides(lambda t: more < t.indistinguishable)
 

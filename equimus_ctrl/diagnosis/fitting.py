@@ -426,7 +426,8 @@ class Data:
 
     def _with_noise(self, hypothesis: Hypothesis, after: Fit) -> Fitted:
         """A hypothesis with its estimates, the noise estimated from its residuals, and its deviance under that."""
-        noise = estimate_noise(self.times, after.residuals, correlated=self._correlated)
+        longest = self.thresholds.longest_noise
+        noise = estimate_noise(self.times, after.residuals, longest, self._correlated)
         deviance = -2.0 * log_likelihood(noise, self.times, after.residuals)
         return Fitted(refined(hypothesis, after.theta[len(self.free.free) :]), after, noise, deviance)
 
@@ -492,6 +493,6 @@ def _distinguishable(gain: float, t: Thresholds) -> bool:
 
 
 def chi_squared(noise: Noise, times: Sequence[Array], values: Sequence[Array]) -> float:
-    """χ² = Σ w² of the whitened values w, for each segment (m, nj) at times (m,) [s]."""
+    """χ² = Σ w² of the whitened values w, for each segment (m, nj + ne) at times (m,) [s]."""
     whitened_values = (whiten(noise, t, v) for t, v in zip(times, values, strict=True))
     return sum(float((w**2).sum()) for w in whitened_values)
