@@ -112,6 +112,10 @@ def confirmed(
         state: its end.
         split: with the validation trials.
         tell: told of each part that is confirmed or rejected.
+
+    Raises:
+        BudgetSpent: where the budget ends.
+        SimulationDiverged: where a hypothesis without one of its parts diverges.
     """
     if not split.validation:
         return state
@@ -329,6 +333,9 @@ def confirmation_of(search: Search, holdout: HoldoutResiduals, simple: Fitted, r
     The fitted trials say whether its gain stands out from the scatter of what is left, and whether inverse dynamics
     show it, the held-out ones whether it carries over. A residual force has no name that could be wrong, so it is asked
     for the latter alone.
+
+    Raises:
+        BudgetSpent: where the budget ends.
     """
     return (
         _lost_in_scatter(search, simple, rich)

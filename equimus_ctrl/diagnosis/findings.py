@@ -73,6 +73,9 @@ def equivalents(
         end: of the search.
         unexplained: whether something stays unexplained beside the parts.
         finely: fits with a smaller discretisation error.
+
+    Raises:
+        BudgetSpent: where the budget ends.
     """
     equivalent = []
     for k in range(len(end.without)):

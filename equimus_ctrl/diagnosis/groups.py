@@ -1,7 +1,7 @@
 """What differs between groups of trials, such as units of a robot or days: parameters with a value of their own there.
 
 All groups share one model. A parameter of the model or of an effect gets a value of its own in a group where that lets
-−2 ln L fall by more than an effect has to (``HypothesisMoves.threshold``) and held-out trials confirm it; an effect
+−2 ln L fall by more than an effect has to (``Scoring.threshold``) and held-out trials confirm it; an effect
 that does nothing in a group is absent there. Moves are ranked by their gain to first order,
 
     (rᵀPc)² / cᵀPc,    c = column of the parameter's Jacobian in the rows of the group, 0 elsewhere
@@ -204,7 +204,7 @@ def _forward(apart: Apart, groups: Sequence[str]) -> Apart:
 
 
 def _accepts(search: Search, simple: Fitted, rich: Fitted) -> bool:
-    """Whether a value more is worth its gain, as ``HypothesisMoves.accepts``."""
+    """Whether a value more is worth its gain, as ``Scoring.accepts``."""
     gain = simple.deviance - rich.deviance
     return search.data.thresholds.decides(lambda t: gain > search.threshold(1, t))
 

@@ -1,7 +1,7 @@
 """Which set of effects: forward from the refitted model, backward where one is not needed, sideways where another fits.
 
 A hypothesis is scored by its deviance (−2 log likelihood, its own noise included) and its number of parameters. A part
-is accepted where the deviance falls by more than the acceptance threshold, see ``HypothesisMoves.threshold``.
+is accepted where the deviance falls by more than the acceptance threshold, see ``Scoring.threshold``.
 
 The moves:
 
