@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
@@ -118,6 +118,23 @@ def test_a_hypothesis_is_extended_again_where_its_fit_ended_lower_and_that_may_d
     found, _ = search.challenge(tried, fitted(4000.0 - lower, RUB), DEAD, beside)
     assert [own.labels for own in found] == [{RUB, OFF}]
     assert search.extended[1:] == ([(4000.0 - lower, np.inf if rival is None else rival + 70)] if again else [])
+
+
+def test_how_near_alternatives_have_to_come_is_asked_of_the_thresholds() -> None:
+    """Three times 160 is less than the 500 that the extension known lacks, and more than the 440 with twice the scatter."""
+    flips = set[tuple[str, float]]()
+
+    def watch(condition: Callable[[Thresholds], bool], holds: bool) -> None:
+        varied = [("step_scatter", 0.5), ("step_scatter", 2.0), ("indistinguishable", 2.0)]
+        flips.update(own for own in varied if condition(Thresholds().scaled(*own)) != holds)
+
+    search = Extending(Known({(): 5000.0, (RUB,): 4000.0, (RUB, OFF): 1500.0}))
+    object.__setattr__(search, "extended", [])
+    vars(search.data).update(thresholds=Thresholds(watch=watch))
+    _, tried = search.challenge(SearchHistory(), search.known(RUB))
+    assert not flips
+    search.challenge(tried, fitted(3840.0, RUB), DEAD, fitted(930.0, RUB, DEAD))
+    assert search.extended[1:] == [] and flips == {("step_scatter", 2.0)}
 
 
 def test_what_is_listed_has_to_come_near_the_end() -> None:

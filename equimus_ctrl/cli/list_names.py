@@ -157,7 +157,7 @@ def _thresholds() -> list[dict[str, Any]]:
 
 
 def _asked_by(modules: Sequence[str]) -> str:
-    return ", ".join(f"diagnosis/{module}.py" for module in modules)
+    return "asked by " + ", ".join(f"diagnosis/{module}.py" for module in modules)
 
 
 def _whose(robots: tuple[str, ...]) -> str:

@@ -144,6 +144,26 @@ _ROWS: Mapping[str, tuple[Row, ...]] = {
     "identification.projection": (
         ("DEPENDENT", 1e-9, "arithmetic", "theory", "what finite differences leave of a column in the span of others"),
     ),
+    "identification.fit": (
+        ("IDLE", 1e-9, "arithmetic", "theory", "parameters that are not moved: without effect"),
+        ("UNSEEN", 1e-3, "method", "convention", "nor those that change predictions by less of the residuals"),
+        ("LEAST_DAMPING", 1e-12, "arithmetic", "convention", "of a step"),
+        ("MOST_DAMPING", 1e12, "arithmetic", "convention", "of a step: a fit ends beyond"),
+    ),
+    "identification.residuals": (
+        ("DIVERGED", 3.0, "method", "convention", "residual where a simulation diverges [rad, m or a channel's unit]"),
+        ("STARTS", 3, "method", "convention", "how often initial states of held-out trials are improved"),
+        ("PARTS", (0.125, 0.25, 0.5), "method", "convention", "of a segment, over which they are improved first"),
+        ("DIFFERENCE", 1e-5, "arithmetic", "theory", "step of differences"),
+        ("SMALL_DIFFERENCE", 1e-7, "arithmetic", "theory", "of those that grow along a segment"),
+    ),
+    "identification.segments": (
+        ("WIDE", 3.0, "method", "convention", "how much wider the prior of an initial state is than it seems"),
+        ("LEAST_REACH", 1e-3, "method", "convention", "least motion of a channel, by which its residuals are weighed"),
+        ("LEAST_TRUST", 1e-4, "method", "convention", "least weight of how far a start is from the measured one"),
+        ("INSTANTS", 200, "method", "convention", "instants that show how well initial states are read off"),
+        ("LEAST_SAMPLES", 10, "method", "convention", "of a segment"),
+    ),
     "diagnosis.fitting": (
         (
             "CONVERGED_GAIN",

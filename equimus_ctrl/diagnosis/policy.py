@@ -90,7 +90,7 @@ class Thresholds:
         0.05,
         "of the gain",
         "where something stays unexplained, alternatives are listed that lack less than this share of an effect's own "
-        "gain, if that is more than ``indistinguishable``",
+        "gain, if that is more than indistinguishable",
         "calibration",
         PROOFS,
         where="findings",
@@ -118,7 +118,7 @@ class Thresholds:
         DEVIANCE,
         "least difference of score for which an effect is exchanged for another",
         "theory",
-        "either fit may end ``fitting.CONVERGED_GAIN`` above its minimum, so less than twice that ranks nothing",
+        "either fit may end fitting.CONVERGED_GAIN above its minimum, so less than twice that ranks nothing",
         where="scoring",
     )
     step_scatter: float = decided_by(
@@ -216,7 +216,7 @@ class Thresholds:
         "a smooth force beside named laws is simulated where the torque domain explains by it what chance would with "
         "at most this probability, over all that are asked for; one that is not is not reported",
         "convention",
-        "mild, for simulation accepts it or not at the level of ``significance``",
+        "mild, for simulation accepts it or not at the level of significance",
         where="smooth_laws",
     )
     replaces_one: float = decided_by(
