@@ -6,7 +6,8 @@ python benchmarks/thresholds.py PROOF [--model robot.xml] [--first 0] [--cases 2
 PROOF is a folder that ``equimus-ctrl prove`` made; its recordings are diagnosed again. While one is diagnosed, every
 decision is asked once more with each number halved and doubled. Where all fall alike, the answer with that number is
 known to be the same; only where one falls otherwise is the case diagnosed with it, fits and simulations that were done
-for the case before taken over. What is done is kept in the output (a line of JSON a case), and the same command goes on
+for the case before taken over. A few numbers are read before anything is asked (``Threshold.read``): with these a case
+is always diagnosed. What is done is kept in the output (a line of JSON a case), and the same command goes on
 from there. At the end: a table in Markdown, the numbers that move most first. ``--numbers`` varies only these,
 ``--also`` tries other values, several at once too.
 
@@ -40,7 +41,7 @@ from equimus_ctrl.proof.seal import opened
 from equimus_ctrl.proof.store import recorded
 
 FACTORS = (0.5, 2.0)
-READ = ("noise_bound", "residual_price_alone")
+READ = tuple(t.name for t in Thresholds.listed() if t.read)
 """Numbers that make another number before anything is asked: with these a case is always diagnosed again."""
 SHOWN = ("false_alarms", "single", "single_group", "pair", "outside")
 """Goals of a proof whose counts are told."""

@@ -127,7 +127,7 @@ def test_what_is_lost_in_the_scatter_is_not_named_though_held_out_trials_improve
     known = Known({(): 5000.0, (RUB,): 1000.0, (OFF,): 4800.0, (RUB, OFF): 900.0})
     held_out = held_out_rejects(monkeypatch, [])
     monkeypatch.setattr(confirmation, "_makes_worse", lambda *given: None)
-    lost = confirmation.Confirmation("scatter", 0.1, dispersion=5.13)
+    lost = confirmation.Confirmation("scatter", 5.13, stands_out=lambda t: 0.4)
     monkeypatch.setattr(
         confirmation, "_lost_in_scatter", lambda search, simple, rich: lost if OFF in rich.labels else None
     )
@@ -201,4 +201,4 @@ def test_friction_that_creeps_while_it_sticks_is_no_gain_of_another_motor(hard: 
         return
     # The gain is above the threshold of an effect, and explains a hundredth of the noise.
     assert search.accepts(rubs, stronger) and stronger.hypothesis[-1].values["factor"] == pytest.approx(1.011, abs=3e-3)
-    assert said is not None and said.reason == "scatter" and said.dispersion > 3
+    assert said is not None and said.reason == "scatter" and said.found > 3

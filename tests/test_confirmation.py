@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
@@ -10,7 +11,15 @@ import numpy as np
 import pytest
 from pendulum_runs import MOTOR, PENDULUM, recorded
 
-from equimus_ctrl.diagnosis.confirmation import HoldoutResiduals, _makes_worse, _needless, carried_over
+from equimus_ctrl.diagnosis.confirmation import (
+    Confirmation,
+    HoldoutResiduals,
+    _makes_worse,
+    _needless,
+    carried_over,
+    confirms,
+    least_confirmed,
+)
 from equimus_ctrl.diagnosis.fitting import Data, chi_squared
 from equimus_ctrl.diagnosis.holdout import split
 from equimus_ctrl.diagnosis.hypothesis import Candidate, Part, default_free_parameters
@@ -89,7 +98,7 @@ def test_a_part_that_extrapolates_wrongly_is_the_one_that_is_told() -> None:
     assert found is not None
     place, said = found
     assert place == 1 and said.reason == "worse" and said.where == "the second half of a_0"
-    assert said.ratio == pytest.approx((0.06**2 + SIGMA**2) / (0.03**2 + SIGMA**2), rel=0.1)
+    assert said.found == pytest.approx((0.06**2 + SIGMA**2) / (0.03**2 + SIGMA**2), rel=0.1)
     assert "the second half of a_0 has" in str(said) and "the refitted model" in str(said)
 
 
@@ -170,7 +179,7 @@ def test_what_held_out_trials_hardly_show_is_measured_by_what_they_can(
     )
     one, two = (SimpleNamespace(deviance=d, n_parameters=1) for d in (deviance, 0.0))
     found = carried_over(search, holdout, one, two)  # type: ignore[arg-type]
-    assert (found.reason, found.ratio) == (reason, pytest.approx(ratio))
+    assert (found.reason, found.found) == (reason, pytest.approx(ratio))
 
 
 def test_what_a_part_alone_shows_is_seen_with_all_else_as_it_is() -> None:
@@ -202,3 +211,39 @@ def test_a_fit_that_says_nothing_of_other_trials_failed(there: float, fails: boo
     said = _failed(state, [np.full((50, 1), there)])
     assert bool(said) is fails and (not fails or "13 times that on the fitted ones, at elbow" in said)
     assert not _failed(state, [])
+
+
+def flipped(decide: Callable[[Any], object]) -> set[tuple[str, float]]:
+    """Which thresholds, halved or doubled, would have let a decision fall otherwise."""
+    found = set[tuple[str, float]]()
+
+    def watch(condition: Callable[[Thresholds], bool], holds: bool) -> None:
+        varied = [(t.name, factor) for t in Thresholds.listed() for factor in (0.5, 2.0)]
+        found.update(own for own in varied if condition(Thresholds().scaled(*own)) != holds)
+
+    decide(SimpleNamespace(data=SimpleNamespace(thresholds=Thresholds(watch=watch))))
+    return found
+
+
+@pytest.mark.parametrize(
+    ("said", "by"),
+    [
+        (Confirmation("gain", 0.2), {("validation_share", 0.5)}),
+        (Confirmation("gain", 0.3), {("validation_share", 2.0)}),
+        (Confirmation("distance", 0.2), {("validation_share", 0.5)}),
+        (Confirmation("torques", 0.2), {("torque_share", 0.5)}),
+        (Confirmation("scatter", 5.0, stands_out=lambda t: 20.0 / t.blocks), {("blocks", 0.5)}),
+        (Confirmation("evident", np.inf), set()),
+        (Confirmation("worse", 1.2, "b_1"), set()),
+    ],
+    ids=lambda own: str(getattr(own, "reason", "")),
+)
+def test_each_reason_is_asked_of_its_own_threshold(said: Confirmation, by: set[tuple[str, float]]) -> None:
+    assert flipped(lambda search: confirms(search, said)) == by
+
+
+def test_which_part_is_rejected_is_a_decision_too() -> None:
+    """0.6 of the least gain on held-out trials, 0.8 of what inverse dynamics have to show, and one that is confirmed."""
+    said = [Confirmation("torques", 0.2), Confirmation("gain", 0.15), Confirmation("gain", 0.9)]
+    assert least_confirmed(SEARCH, said) == 1 and least_confirmed(SEARCH, said[2:]) is None
+    assert flipped(lambda search: least_confirmed(search, said)) == {("validation_share", 0.5), ("torque_share", 2.0)}

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
@@ -30,7 +30,7 @@ from equimus_ctrl.diagnosis.hypothesis import Candidate, Part, beside
 from equimus_ctrl.diagnosis.hypothesis_moves import HypothesisMoves
 from equimus_ctrl.diagnosis.policy import SearchSettings, Thresholds
 from equimus_ctrl.diagnosis.search import Search
-from equimus_ctrl.diagnosis.search_state import SearchHistory, SearchState, StopReason
+from equimus_ctrl.diagnosis.search_state import RivalDeviance, SearchHistory, SearchState, StopReason, no_rival
 from equimus_ctrl.effects import REGISTRY
 from equimus_ctrl.errors import SimulationDiverged
 from equimus_ctrl.identification.noise import JointNoise
@@ -88,9 +88,14 @@ class Extending(OnPaper):
     challenge = Search.challenge
 
     def extensions(
-        self, tried: SearchHistory, fitted: Fitted, replaced: str = "", known: Any = None, rival: float = np.inf
+        self,
+        tried: SearchHistory,
+        fitted: Fitted,
+        replaced: str = "",
+        known: Any = None,
+        rival: RivalDeviance = no_rival,
     ) -> tuple[list[Fitted], SearchHistory]:
-        self.extended.append((fitted.deviance, rival))
+        self.extended.append((fitted.deviance, rival(Thresholds())))
         return [self.known(*fitted.labels, OFF)], tried
 
 
@@ -113,6 +118,23 @@ def test_a_hypothesis_is_extended_again_where_its_fit_ended_lower_and_that_may_d
     found, _ = search.challenge(tried, fitted(4000.0 - lower, RUB), DEAD, beside)
     assert [own.labels for own in found] == [{RUB, OFF}]
     assert search.extended[1:] == ([(4000.0 - lower, np.inf if rival is None else rival + 70)] if again else [])
+
+
+def test_how_near_alternatives_have_to_come_is_asked_of_the_thresholds() -> None:
+    """Three times 160 is less than the 500 that the extension known lacks, and more than the 440 with twice the scatter."""
+    flips = set[tuple[str, float]]()
+
+    def watch(condition: Callable[[Thresholds], bool], holds: bool) -> None:
+        varied = [("step_scatter", 0.5), ("step_scatter", 2.0), ("indistinguishable", 2.0)]
+        flips.update(own for own in varied if condition(Thresholds().scaled(*own)) != holds)
+
+    search = Extending(Known({(): 5000.0, (RUB,): 4000.0, (RUB, OFF): 1500.0}))
+    object.__setattr__(search, "extended", [])
+    vars(search.data).update(thresholds=Thresholds(watch=watch))
+    _, tried = search.challenge(SearchHistory(), search.known(RUB))
+    assert not flips
+    search.challenge(tried, fitted(3840.0, RUB), DEAD, fitted(930.0, RUB, DEAD))
+    assert search.extended[1:] == [] and flips == {("step_scatter", 2.0)}
 
 
 def test_what_is_listed_has_to_come_near_the_end() -> None:
@@ -181,7 +203,7 @@ def test_what_is_said_of_an_effect_is_what_was_said_last(monkeypatch: pytest.Mon
     said: dict[str, confirmation.Confirmation] = {}
     end = confirmation.confirmed(search, begun, split, said.__setitem__)
     assert end.best.labels == {RUB, DEAD}
-    assert {label: one.ratio for label, one in said.items()} == {RUB: 1.0, DEAD: 1.0}
+    assert {label: one.found for label, one in said.items()} == {RUB: 1.0, DEAD: 1.0}
 
 
 @pytest.mark.parametrize(
@@ -209,7 +231,7 @@ def test_held_out_trials_judge_what_an_ended_search_had_come_to(
     begun = replace(begun, tried=begun.tried.having(*(known(label) for label in fitted_alone)))
     said: dict[str, confirmation.Confirmation] = {}
     end = confirmation.confirmed_as_fitted(Ended(known), begun, split, said.__setitem__)
-    assert end.best.labels == left and said[DEAD].ratio == 0.0 and said.keys() - {DEAD} == left
+    assert end.best.labels == left and said[DEAD].found == 0.0 and said.keys() - {DEAD} == left
     assert [without.labels for without in end.without] == [
         left - {part.candidate.label} for part in end.best.hypothesis
     ]

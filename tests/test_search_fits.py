@@ -16,7 +16,7 @@ from equimus_ctrl.diagnosis.hypothesis import Candidate, Part
 from equimus_ctrl.diagnosis.policy import SearchSettings
 from equimus_ctrl.diagnosis.screening import Screened, ScreenedGains, _rescaled
 from equimus_ctrl.diagnosis.search import Search
-from equimus_ctrl.diagnosis.search_state import Proposal, SearchHistory
+from equimus_ctrl.diagnosis.search_state import Proposal, SearchHistory, no_rival
 from equimus_ctrl.effects import REGISTRY
 from equimus_ctrl.models.model import nominal_model
 
@@ -51,7 +51,7 @@ def test_a_fit_behind_the_first_ones_goes_on_where_its_rank_is_not_known(
         return coarse(900.0, further[-1], True)
 
     vars(search.data).update(threads=1, coarse_fit=longer, converge=lambda f, settled: f, discontinuous=lambda *a: [])
-    found = search._best_converged(search.known(), options, np.inf)
+    found = search._best_converged(search.known(), options, no_rival)
     assert further == [RUB, STICK, DEAD, *([OFF] if goes_on else [])]
     assert [f.deviance for f in found] == [900.0, 900.0, 900.0, 900.0 if goes_on else deviance]
 
@@ -69,9 +69,9 @@ def test_the_best_that_stands_for_no_other_parameters_is_converged_too() -> None
         return coarse(1500.0, hypothesis[-1].candidate.label, True)
 
     vars(search.data).update(threads=1, coarse_fit=longer, converge=converge, discontinuous=lambda *a: [])
-    found = search._best_of_its_own_converged(search.known(), options, np.inf)
+    found = search._best_of_its_own_converged(search.known(), options, no_rival)
     assert [f.deviance for f in found] == [1000.0, 1500.0] and whole == [RUB]
-    assert search._best_of_its_own_converged(search.known(), options[1:], np.inf) == options[1:] and whole == [RUB]
+    assert search._best_of_its_own_converged(search.known(), options[1:], no_rival) == options[1:] and whole == [RUB]
 
 
 @pytest.mark.parametrize(("deviance", "further"), [(4000.0, True), (4400.0, False)])
@@ -85,7 +85,7 @@ def test_what_cannot_come_near_its_rival_is_not_fitted_further(deviance: float, 
         return coarse(deviance - 100.0, RUB, True)
 
     vars(search.data).update(threads=1, coarse_fit=longer, converge=lambda f, settled: f, discontinuous=lambda *a: [])
-    (found,) = search._best_converged(search.known(), [coarse(deviance, RUB, False)], 2000.0)
+    (found,) = search._best_converged(search.known(), [coarse(deviance, RUB, False)], lambda t: 2000.0)
     assert asked == ([deviance] if further else []) and found.deviance == deviance - (100.0 if further else 0.0)
 
 
@@ -107,7 +107,7 @@ def test_what_has_come_to_its_end_and_gains_too_little_is_not_fitted_further(
 
     vars(search.data).update(threads=1, coarse_fit=longer, converge=lambda f, settled: f, discontinuous=lambda *a: [])
     share = gain / 25.7
-    search._best_converged(search.known(), [coarse(5000.0 - share * threshold, OFF, converged)], np.inf)
+    search._best_converged(search.known(), [coarse(5000.0 - share * threshold, OFF, converged)], no_rival)
     assert asked == ([gain] if further else [])
 
 
@@ -200,11 +200,11 @@ def test_what_is_fitted_does_not_depend_on_the_number_of_threads(threads: int, f
 
     vars(search.data).update(threads=threads, coarse_fit=coarse_fit)
     proposals = [Proposal(fitted(0.0, label).hypothesis, (), hope) for label, hope in hopes.items()]
-    found = search._coarse_fits(search.known(), proposals, np.inf)
+    found = search._coarse_fits(search.known(), proposals, no_rival)
     assert [f.label for f in found] == [DEAD, OFF]
     if fails:
         with pytest.raises(ValueError, match=FULL):
-            search._coarse_fits(search.known(), [p for p in proposals if p.hope < 1000.0], np.inf)
+            search._coarse_fits(search.known(), [p for p in proposals if p.hope < 1000.0], no_rival)
 
 
 def test_where_minima_are_many_the_model_alone_is_refitted_from_the_first_effect_s_fit() -> None:

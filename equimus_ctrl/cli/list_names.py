@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from enum import StrEnum
 from pathlib import Path
 from typing import Annotated, Any
@@ -147,12 +148,16 @@ def _thresholds() -> list[dict[str, Any]]:
         {
             "name": t.name,
             "summary": f"{t.value:g} {t.unit}".rstrip() + f": {t.meaning}",
-            "parameters": {"origin": f"{t.origin.basis}: {t.origin.why}"},
+            "parameters": {"origin": f"{t.origin.basis}: {t.origin.why}", "asked by": _asked_by(t.where)},
             "value": t.value,
             "unit": t.unit,
         }
         for t in Thresholds.listed()
     ]
+
+
+def _asked_by(modules: Sequence[str]) -> str:
+    return "asked by " + ", ".join(f"diagnosis/{module}.py" for module in modules)
 
 
 def _whose(robots: tuple[str, ...]) -> str:

@@ -10,7 +10,7 @@ import numpy as np
 
 from equimus_ctrl.diagnosis.fitting import Fitted
 from equimus_ctrl.diagnosis.hypothesis import Candidate, Hypothesis, Part
-from equimus_ctrl.diagnosis.hypothesis_moves import EXCHANGE_MARGIN, HypothesisMoves
+from equimus_ctrl.diagnosis.hypothesis_moves import HypothesisMoves
 from equimus_ctrl.diagnosis.policy import Thresholds
 from equimus_ctrl.diagnosis.search_state import SearchHistory, SearchState
 from equimus_ctrl.identification.parameters import in_group
@@ -37,6 +37,10 @@ def contested(search: HypothesisMoves, state: SearchState) -> SearchState:
 
     Without the part the others converged elsewhere. An alternative that is fitted from there may end in another local
     minimum. Where fits have many local minima, more alternatives are tried, see ``in_place``.
+
+    Raises:
+        BudgetSpent: where the budget ends.
+        SimulationDiverged: where a hypothesis without one of its parts diverges.
     """
     if len(state.best.hypothesis) < 2 or search.settings.many_minima:
         return state
@@ -45,7 +49,7 @@ def contested(search: HypothesisMoves, state: SearchState) -> SearchState:
         size = len(state.best.hypothesis)
         no_larger = [a for fits in state.alternatives for a in fits if len(a.hypothesis) <= size]
         top = min(no_larger, key=search.score, default=state.best)
-        if search.score(top) >= search.score(state.best) - EXCHANGE_MARGIN:
+        if not search.outdoes(top, state.best):
             break
         state = search.exchanged(replace(state, best=top))
     return state
@@ -115,6 +119,9 @@ def in_place(
         state: the end.
         k: place of the part.
         margin: largest difference of score that counts as fitting about as well.
+
+    Raises:
+        BudgetSpent: where the budget ends.
     """
     alternatives = list(state.alternatives[k])
     if not search.settings.many_minima:
@@ -177,6 +184,9 @@ def listed(search: HypothesisMoves, state: SearchState) -> SearchState:
 
     None is listed that fits far worse than the end, so what stays far behind it is not fitted whole. Where fits have
     many local minima they are found among all hypotheses fitted, see ``in_place``.
+
+    Raises:
+        BudgetSpent: where the budget ends.
     """
     if search.settings.many_minima:
         return state
@@ -192,6 +202,10 @@ def narrowed(search: HypothesisMoves, state: SearchState) -> SearchState:
     """The effect at the fewest places that is not distinguishable; the one at more places becomes an alternative.
 
     Not where fits have many local minima: deviances scatter by more than that.
+
+    Raises:
+        BudgetSpent: where the budget ends.
+        SimulationDiverged: where a hypothesis without one of its parts diverges.
     """
     if search.settings.many_minima:
         return state
@@ -207,10 +221,14 @@ def exchanged_beside_fewer(search: HypothesisMoves, state: SearchState) -> Searc
 
     Beside what some effect has at a place too many, others may be no use: a lag of both valves takes part of what a
     delay of both sensors would explain. So where an effect loses next to nothing in fewer places, see
-    ``Thresholds.indistinguishable_share``, parts are exchanged from there. Not where fits have many local minima.
+    ``Thresholds.fewer_places_share``, parts are exchanged from there. Not where fits have many local minima.
+
+    Raises:
+        BudgetSpent: where the budget ends.
+        SimulationDiverged: where a hypothesis without one of its parts diverges.
     """
     while not search.settings.many_minima:
-        before = search.score(state.best)
+        before = state.best
         for k, part in enumerate(state.best.hypothesis):
             fewer, tried = _all_refitted(search, state.tried, state.best, _hypotheses_in_fewer(search, state, k))
             state = replace(state, tried=tried)
@@ -221,7 +239,7 @@ def exchanged_beside_fewer(search: HypothesisMoves, state: SearchState) -> Searc
             search.notify(f"with {part.candidate.label} at fewer places", state.best.label)
             better, tried = _best_beside(search, tried, top, k)
             state = replace(state, tried=tried)
-            if better is not None and search.score(better) < before - EXCHANGE_MARGIN:
+            if better is not None and search.outdoes(better, before):
                 state = search.exchanged(replace(state, best=better, without=(), alternatives=()))
                 break
         else:
@@ -245,7 +263,7 @@ def _best_beside(
 
 
 def _nearly(search: HypothesisMoves, lost: float, gain: float) -> bool:
-    return search.data.thresholds.decides(lambda t: lost < t.indistinguishable_share * gain)
+    return search.data.thresholds.decides(lambda t: lost < t.fewer_places_share * gain)
 
 
 def _hypotheses_in_fewer(search: HypothesisMoves, state: SearchState, k: int) -> list[Hypothesis]:
@@ -281,7 +299,11 @@ def _in_fewer_places(search: HypothesisMoves, state: SearchState, score: float) 
 
 
 def indistinguishable(search: HypothesisMoves, fitted: Fitted, score: float) -> bool:
-    """Whether a hypothesis is not distinguishable from one with a score, or better."""
+    """Whether a hypothesis fits as well as one with a score, or better: its score, a BIC, is higher by less than δ.
+
+    δ is ``Thresholds.indistinguishable``. It is asked where a hypothesis is to take another's place. What is listed as
+    not distinguishable may differ by more, see ``Scoring.equally_good``.
+    """
     more = search.score(fitted) - score
     return search.data.thresholds.decides(lambda t: more < t.indistinguishable)
 
@@ -291,6 +313,10 @@ def simplified(search: HypothesisMoves, state: SearchState) -> SearchState:
 
     Such as Coulomb friction in the place of Stribeck friction, or one size for all joints in the place of one each.
     Where the cost has many kinks, searches rank such pairs at random.
+
+    Raises:
+        BudgetSpent: where the budget ends.
+        SimulationDiverged: where a simpler hypothesis diverges.
     """
     hypothesis = state.best.hypothesis
     for k, part in enumerate(hypothesis):
@@ -331,6 +357,10 @@ def pruned(search: HypothesisMoves, state: SearchState) -> SearchState:
 
     A place is needed where its parameters differ from those of no effect by more than the acceptance threshold, by
     Wald's statistic δᵀC⁻¹δ, which the gain −2Δln L without them is to second order. What is left has to fit as well.
+
+    Raises:
+        BudgetSpent: where the budget ends.
+        SimulationDiverged: where a smaller hypothesis diverges.
     """
     for k, part in enumerate(state.best.hypothesis):
         needed = _needed_places(search, state.best, k)
@@ -400,6 +430,10 @@ def without_parts(
         state: the end.
         places: of the parts.
         fewer: of those the ones that stay at some of their locations, with these.
+
+    Raises:
+        BudgetSpent: where the budget ends.
+        SimulationDiverged: where what is left diverges.
     """
     stay = dict(fewer or {})
     while places:

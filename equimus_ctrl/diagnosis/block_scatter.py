@@ -37,7 +37,8 @@ class BlockScatter:
     """How the residuals along what a part changes scatter from block to block.
 
     Attributes:
-        dispersion: their variance over that of the noise.
+        dispersion: their variance over that of the noise, Σ e_b²/cᵀc·(f + 1)/f: as b was fitted, one of the f + 1
+            degrees of freedom is gone.
         statistic: t², the gain over the dispersion.
         freedom: degrees of freedom by which the dispersion is known; 0 where one block has all of the change.
     """

@@ -1,24 +1,29 @@
-"""Confirmation: whether gains stand out from the scatter of residuals, and held-out trials improve as is expected."""
+"""Confirmation: whether recordings bear a part out that a search has accepted.
+
+Fitted trials say whether its gain stands out from the scatter of the residuals, inverse dynamics along their motion
+whether they show it, held-out trials whether they improve as is expected. Each has a threshold of its own.
+"""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence, Set
-from dataclasses import dataclass, replace
-from functools import cached_property, partial
+from dataclasses import dataclass, field, replace
+from functools import cache, cached_property, partial
 from typing import Literal
 
 import numpy as np
 
 from equimus_ctrl.diagnosis.alternatives import indistinguishable, listed, simpler_laws
-from equimus_ctrl.diagnosis.block_scatter import block_scatter, stands_out
+from equimus_ctrl.diagnosis.block_scatter import BlockScatter, block_scatter, stands_out
 from equimus_ctrl.diagnosis.fitting import Data, Fitted, chi_squared
 from equimus_ctrl.diagnosis.holdout import Split, kind_of
 from equimus_ctrl.diagnosis.hypothesis import parameters_of
-from equimus_ctrl.diagnosis.hypothesis_moves import HypothesisMoves, extra_parameters
+from equimus_ctrl.diagnosis.hypothesis_moves import HypothesisMoves
 from equimus_ctrl.diagnosis.localization import excess_variances
 from equimus_ctrl.diagnosis.noise_size import noise_sizes
 from equimus_ctrl.diagnosis.policy import Thresholds
+from equimus_ctrl.diagnosis.scoring import extra_parameters
 from equimus_ctrl.diagnosis.search import Search
 from equimus_ctrl.diagnosis.search_state import SearchState, Undecided
 from equimus_ctrl.diagnosis.torque_agreement import share_in_torques
@@ -28,58 +33,71 @@ from equimus_ctrl.models.model import Model
 from equimus_ctrl.types import Array
 
 Reason = Literal["gain", "distance", "evident", "uninformative", "worse", "scatter", "torques"]
-"""By what a part is confirmed, or is not:
+"""By what a part is confirmed, or is not; what is found is a number, and what it has to be:
 
-- gain: what validation trials gain by it, over what as many samples of the fitted ones gain.
-- distance: the same over χ² by which the two models differ on validation trials, all that they can show.
+- gain: what validation trials gain by it, over what as many samples of the fitted ones gain; at least
+  ``Thresholds.validation_share``.
+- distance: the same over χ² by which the two models differ on validation trials, all that they can show; as much.
 - evident: they cannot show it, for the part alone changes next to nothing there, and the gain on the fitted trials is
-  ``Thresholds.evident`` times the least one.
-- uninformative: they cannot show it, and that gain is not as large.
-- worse: with it half of a kind of validation trials gets worse than without any effect, see ``Thresholds.worse``.
+  ``Thresholds.evident`` times the least one; it is confirmed, and the number is inf.
+- uninformative: they cannot show it, and that gain is not as large; the number is that of "gain".
+- worse: with it half of a kind of validation trials gets worse than without any effect, see ``Thresholds.worse``; the
+  number is χ² there over that of the refitted model.
 - scatter: residuals are more than noise, and its gain on the fitted trials does not stand out from how they scatter
-  from block to block, see ``block_scatter``.
-- torques: inverse dynamics along the measured motion do not show it, see ``torque_agreement``.
+  from block to block, see ``block_scatter.stands_out``; the number is how much more they scatter than their noise.
+- torques: inverse dynamics along the measured motion do not show it; the number is the share that they do show, see
+  ``torque_agreement.share_in_torques``, to be at least ``Thresholds.torque_share``.
 """
 
 
 @dataclass(frozen=True)
 class Confirmation:
-    """What validation trials say of a part.
+    """What recordings say of a part.
 
     Attributes:
-        reason: see ``Reason``.
-        ratio: to be at least ``Thresholds.validation_share``; inf where the part is evident. Of "worse" χ² there, over
-            that of the refitted model. Of "scatter" and "torques" the same share of the gain over the one it would have
-            to have, and of ``shown`` over the least.
-        where: the trials that get worse.
-        dispersion: how much more than by their noise residuals scatter over blocks.
-        shown: see ``share_in_torques``.
+        reason: what says it, see ``Reason``.
+        found: the number that says it, see ``Reason``.
+        where: of "worse" the trials that get worse.
+        stands_out: of "scatter" t² over the least that it has to be by some thresholds, see ``block_scatter``.
     """
 
     reason: Reason
-    ratio: float
+    found: float
     where: str = ""
-    dispersion: float = 1.0
-    shown: float = math.inf
+    stands_out: Callable[[Thresholds], float] = field(default=lambda t: 0.0, compare=False, repr=False)
+
+    def margin(self, t: Thresholds) -> float:
+        """What was found over the least that confirms the part by some thresholds: it is confirmed from 1 on."""
+        match self.reason:
+            case "evident":
+                return math.inf
+            case "worse":
+                return 0.0
+            case "scatter":
+                return self.stands_out(t)
+            case "torques":
+                return self.found / t.torque_share
+            case "gain" | "distance" | "uninformative":
+                return self.found / t.validation_share
 
     def __str__(self) -> str:
         """A clause for the report."""
         said = {
-            "gain": f"validation trials gain {self.ratio:.3g} of what the fitted ones let expect",
-            "distance": f"validation trials gain {self.ratio:.3g} of what they can show of it",
+            "gain": f"validation trials gain {self.found:.3g} of what the fitted ones let expect",
+            "distance": f"validation trials gain {self.found:.3g} of what they can show of it",
             "evident": "validation trials cannot show it, and its gain on the fitted ones is far above the threshold",
             "uninformative": "validation trials cannot show it, and its gain on the fitted ones is not far above the "
             "threshold",
-            "worse": f"with it {self.where} has {self.ratio:.3g} times the squared error of the refitted model",
-            "scatter": f"residuals are more than noise: from block to block they scatter {self.dispersion:.3g} times "
+            "worse": f"with it {self.where} has {self.found:.3g} times the squared error of the refitted model",
+            "scatter": f"residuals are more than noise: from block to block they scatter {self.found:.3g} times "
             "as much, and its gain does not stand out from that",
-            "torques": f"inverse dynamics along the measured motion show {self.shown:.3g} of what they would of it",
+            "torques": f"inverse dynamics along the measured motion show {self.found:.3g} of what they would of it",
         }
         return said[self.reason]
 
 
 Tell = Callable[[str, Confirmation], None]
-"""Called with the label of a part and what validation trials say of it."""
+"""Called with the label of a part and what recordings say of it."""
 
 
 def confirmed(
@@ -94,6 +112,10 @@ def confirmed(
         state: its end.
         split: with the validation trials.
         tell: told of each part that is confirmed or rejected.
+
+    Raises:
+        BudgetSpent: where the budget ends.
+        SimulationDiverged: where a hypothesis without one of its parts diverges.
     """
     if not split.validation:
         return state
@@ -101,9 +123,10 @@ def confirmed(
         if (needless := _needless(search, state)) is not None:
             state = search.moved(state, state.without[needless])
             continue
-        holdout, confirmations, place = _confirmations(search, state, split)
+        holdout, confirmations = _confirmations(search, state, split)
         parts = [part.candidate.label for part in state.best.hypothesis]
-        if confirms(search, confirmations[place].ratio):
+        place = least_confirmed(search, confirmations)
+        if place is None:
             if (spoils := _makes_worse(search, holdout, state)) is not None:
                 tell(parts[spoils[0]], spoils[1])
                 state = search.moved(state, state.without[spoils[0]])
@@ -146,11 +169,10 @@ def confirmed_as_fitted(
             kept = state.best.labels - {state.best.hypothesis[needless].candidate.label}
             state = _largest_known(search, state, kept)
             continue
-        holdout, confirmations, place = _confirmations(search, state, split)
+        holdout, confirmations = _confirmations(search, state, split)
         parts = [part.candidate.label for part in state.best.hypothesis]
-        rejected: tuple[int, Confirmation] | None = (place, confirmations[place])
-        if confirms(search, confirmations[place].ratio):
-            rejected = _makes_worse(search, holdout, state)
+        place = least_confirmed(search, confirmations)
+        rejected = _makes_worse(search, holdout, state) if place is None else (place, confirmations[place])
         if rejected is None:
             for label, confirmation in zip(parts, confirmations, strict=True):
                 tell(label, confirmation)
@@ -179,13 +201,25 @@ def _largest_known(search: HypothesisMoves, state: SearchState, labels: Set[str]
     )
 
 
-def _confirmations(
-    search: Search, state: SearchState, split: Split
-) -> tuple[HoldoutResiduals, list[Confirmation], int]:
-    """What validation trials show, what they say of each part, and the place of the part that they confirm least."""
+def _confirmations(search: Search, state: SearchState, split: Split) -> tuple[HoldoutResiduals, list[Confirmation]]:
+    """What validation trials show, and what recordings say of each part."""
     holdout = HoldoutResiduals(search.data, split, state)
-    confirmations = [confirmation_of(search, holdout, without, state.best) for without in state.without]
-    return holdout, confirmations, int(np.argmin([c.ratio for c in confirmations]))
+    return holdout, [confirmation_of(search, holdout, without, state.best) for without in state.without]
+
+
+def least_confirmed(search: Search, confirmations: Sequence[Confirmation]) -> int | None:
+    """The place of the part that is confirmed least, by ``Confirmation.margin``; None where all are confirmed."""
+
+    def place(t: Thresholds) -> int | None:
+        margins = [one.margin(t) for one in confirmations]
+        least = int(np.argmin(margins))
+        return None if margins[least] >= 1 else least
+
+    thresholds = search.data.thresholds
+    found = place(thresholds)
+    # Other thresholds may reject another part, so this is a decision of its own.
+    thresholds.decides(lambda t: place(t) == found)
+    return found
 
 
 def _simpler(search: Search, holdout: HoldoutResiduals, state: SearchState, tell: Tell) -> SearchState | None:
@@ -203,7 +237,7 @@ def _simpler(search: Search, holdout: HoldoutResiduals, state: SearchState, tell
             state = replace(state, tried=tried)
             for simple in fits:
                 confirmation = confirmation_of(search, holdout, simple, state.best)
-                if not confirms(search, confirmation.ratio):
+                if not confirms(search, confirmation):
                     tell(part.candidate.label, confirmation)
                     if confirmation.reason == "uninformative" and search.accepts(simple, state.best):
                         open_ = Undecided(simpler.candidate.label, part)
@@ -233,7 +267,7 @@ def _makes_worse(search: Search, holdout: HoldoutResiduals, state: SearchState) 
 
 
 def _worse(base: float, best: float, distance: float, t: Thresholds) -> bool:
-    return best > (1 + t.worse) * base + max(t.uninformative, 2 * 1.64 * math.sqrt(distance))
+    return best > (1 + t.worse) * base + max(t.uninformative, 2 * t.worse_by_chance * math.sqrt(distance))
 
 
 def _confirmed_alternative(
@@ -245,7 +279,7 @@ def _confirmed_alternative(
     as_good = (a for a in other_laws if indistinguishable(search, a, score))
     for alternative in sorted(as_good, key=search.score):
         confirmation = confirmation_of(search, holdout, state.without[0], alternative)
-        if confirms(search, confirmation.ratio):
+        if confirms(search, confirmation):
             others = (state.best, *(a for a in state.alternatives[0] if a is not alternative))
             return replace(state, best=alternative, alternatives=(others,)), confirmation
     return None
@@ -277,7 +311,7 @@ def _another(
             if not search.accepts(without, moved.best):
                 break
             confirmations.append(confirmation_of(search, holdout, without, moved.best))
-            if not confirms(search, confirmations[-1].ratio):
+            if not confirms(search, confirmations[-1]):
                 break
         else:
             return moved, tuple(confirmations)
@@ -299,6 +333,9 @@ def confirmation_of(search: Search, holdout: HoldoutResiduals, simple: Fitted, r
     The fitted trials say whether its gain stands out from the scatter of what is left, and whether inverse dynamics
     show it, the held-out ones whether it carries over. A residual force has no name that could be wrong, so it is asked
     for the latter alone.
+
+    Raises:
+        BudgetSpent: where the budget ends.
     """
     return (
         _lost_in_scatter(search, simple, rich)
@@ -309,16 +346,19 @@ def confirmation_of(search: Search, holdout: HoldoutResiduals, simple: Fitted, r
 
 def _lost_in_scatter(search: Search, simple: Fitted, rich: Fitted) -> Confirmation | None:
     """Why a gain is within the scatter of the residuals; None where it stands out from it, or they are noise alone."""
-    times, more = search.data.times, extra_parameters(simple, rich)
+    more = extra_parameters(simple, rich)
+
+    @cache
+    def scatter(blocks: int) -> BlockScatter:
+        return block_scatter(search.data.times, simple, rich, blocks)
 
     def over_needed(t: Thresholds) -> float:
-        return stands_out(block_scatter(times, simple, rich, round(t.blocks)), more, len(search.pool), t)
+        return stands_out(scatter(round(t.blocks)), more, len(search.pool), t)
 
     thresholds = search.data.thresholds
     if thresholds.decides(lambda t: over_needed(t) >= 1):
         return None
-    dispersion = block_scatter(times, simple, rich, round(thresholds.blocks)).dispersion
-    return Confirmation("scatter", thresholds.validation_share * over_needed(thresholds), dispersion=dispersion)
+    return Confirmation("scatter", scatter(round(thresholds.blocks)).dispersion, stands_out=over_needed)
 
 
 def _not_in_torques(search: Search, simple: Fitted, rich: Fitted) -> Confirmation | None:
@@ -330,7 +370,7 @@ def _not_in_torques(search: Search, simple: Fitted, rich: Fitted) -> Confirmatio
     thresholds = search.data.thresholds
     if thresholds.decides(lambda t: least >= t.torque_share):
         return None
-    return Confirmation("torques", thresholds.validation_share * least / thresholds.torque_share, shown=least)
+    return Confirmation("torques", least)
 
 
 def carried_over(search: Search, holdout: HoldoutResiduals, simple: Fitted, rich: Fitted) -> Confirmation:
@@ -343,7 +383,10 @@ def carried_over(search: Search, holdout: HoldoutResiduals, simple: Fitted, rich
     """
     ratio = holdout.carried_over(simple, rich)
     thresholds = search.data.thresholds
-    if confirms(search, ratio) or search.data.free.model.robot.traits.same_kind_of_trials:
+    if (
+        thresholds.decides(lambda t: ratio >= t.validation_share)
+        or search.data.free.model.robot.traits.same_kind_of_trials
+    ):
         return Confirmation("gain", ratio)
     distance = holdout.distance(simple, rich)
     shown = min(distance, holdout.own_distance(simple, rich))
@@ -355,9 +398,9 @@ def carried_over(search: Search, holdout: HoldoutResiduals, simple: Fitted, rich
     return Confirmation("uninformative", ratio)
 
 
-def confirms(search: Search, ratio: float) -> bool:
-    """Whether a gain on validation trials, over what it could be, is enough."""
-    return search.data.thresholds.decides(lambda t: ratio >= t.validation_share)
+def confirms(search: Search, confirmation: Confirmation) -> bool:
+    """Whether what recordings say of a part confirms it, see ``Confirmation.margin``."""
+    return search.data.thresholds.decides(lambda t: confirmation.margin(t) >= 1)
 
 
 class HoldoutResiduals:
@@ -380,7 +423,10 @@ class HoldoutResiduals:
         return [s.trial.sample_times for s in self.split.validation]
 
     def residuals(self, model: Model) -> list[Array]:
-        """For each validation segment (m, nj) measured − predicted [rad or m]."""
+        """For each validation segment (m, nj + ne) measured − predicted, of joints [rad or m] and channels [own unit].
+
+        Where nothing is predicted they are ``residuals.DIVERGED``.
+        """
         if model not in self._known:
             self._known[model] = residuals_of(model, self.split.validation, self.data.simulator)
         return self._known[model]

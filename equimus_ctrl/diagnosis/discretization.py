@@ -9,7 +9,7 @@ from equimus_ctrl.diagnosis.alternatives import without_parts
 from equimus_ctrl.diagnosis.fitting import Data, Fitted
 from equimus_ctrl.diagnosis.holdout import Split
 from equimus_ctrl.diagnosis.hypothesis import Part
-from equimus_ctrl.diagnosis.hypothesis_moves import extra_parameters
+from equimus_ctrl.diagnosis.scoring import extra_parameters
 from equimus_ctrl.diagnosis.search import Search
 from equimus_ctrl.diagnosis.search_state import SearchHistory, SearchState
 from equimus_ctrl.diagnosis.smooth_laws import analysed, analysed_without, without_redundant
@@ -55,6 +55,10 @@ def without_step_error(
         end: of the search.
         analysis: of the residuals.
         split: with the validation trials.
+
+    Raises:
+        BudgetSpent: where the budget ends.
+        SimulationDiverged: where a hypothesis diverges with the exact engine.
     """
     engine, best = search.data.simulator.engine, end.best
     if (step := engine.discretisation) is None or not (best.hypothesis or analysis.unexplained):
@@ -76,7 +80,8 @@ def without_step_error(
     start = replace(end, base=base, alternatives=tuple(() for _ in best.hypothesis), tried=anew)
     exact = exact_search.moved(start, exact_best if best.hypothesis else base)
     exact = without_parts(exact_search, exact, needless[:1])
-    if exact.best.deviance - best.deviance > search.threshold(extra_parameters(exact.best, best)):
+    lost, more = exact.best.deviance - best.deviance, extra_parameters(exact.best, best)
+    if search.data.thresholds.decides(lambda t: lost > search.threshold(more, t)):
         return None  # the robot does more as with the XML's step, of which a controller's own may be the reason
     after, rejected = analysed(exact_search, exact, split, analysis.unexplained), dict[Part, str]()
     while after.redundant:
@@ -121,7 +126,7 @@ def _sentence(step: Discretisation) -> str:
 
 
 def step_counted(data: Data, end: SearchState) -> SearchState:
-    """The end with intervals that the error of the engine's physics step is counted in."""
+    """The end with intervals that the error of the engine's physics step is counted in, see ``with_step_error``."""
     engine = data.simulator.engine
     if (step := engine.discretisation) is None:
         return end
@@ -136,7 +141,13 @@ def step_counted(data: Data, end: SearchState) -> SearchState:
 
 
 def _step_error(data: Data, finer: Simulator, fitted: Fitted, noise: Noise) -> tuple[float, float]:
-    """χ² that a hypothesis leaves, and that of a finer step's change orthogonal to parameters and initial states."""
+    """‖r‖² that a hypothesis leaves, and ‖(I − QQᵀ) Δy‖² of what a finer step changes, both whitened.
+
+    Q spans the Jacobian of the parameters and initial states.
+
+    Raises:
+        SimulationDiverged: where the finer simulation does.
+    """
     moved = changes_between(data.simulator, finer, fitted.fit, data.segments)
     whitened_fit = whiten_fit(data.times, fitted.fit, noise)
     column = whitened_fit.columns(data.times, moved)[:, 0]

@@ -26,7 +26,7 @@ from equimus_ctrl.diagnosis.results import (
     Ranked,
     Verdict,
 )
-from equimus_ctrl.diagnosis.screening import Screened
+from equimus_ctrl.diagnosis.screening import ESTIMATED, Screened
 from equimus_ctrl.diagnosis.search import Search
 from equimus_ctrl.diagnosis.search_state import SearchHistory, SearchState
 from equimus_ctrl.identification.parameters import in_group, place_unit
@@ -73,6 +73,9 @@ def equivalents(
         end: of the search.
         unexplained: whether something stays unexplained beside the parts.
         finely: fits with a smaller discretisation error.
+
+    Raises:
+        BudgetSpent: where the budget ends.
     """
     equivalent = []
     for k in range(len(end.without)):
@@ -92,6 +95,9 @@ def findings(
         end: of the search.
         holdout: residuals on held-out trials.
         equivalent: see ``equivalents``; empty where nobody looked.
+
+    Raises:
+        BudgetSpent: where the budget ends while an interval is profiled.
     """
     found = []
     for k, part in enumerate(end.best.hypothesis):
@@ -186,7 +192,12 @@ def _alone(end: SearchState, label: str) -> Fitted | None:
 
 
 def log_p_value(gain: float, count: int) -> float:
-    """Ln P(χ²(count) > gain), by its asymptote where it is too small to be computed."""
+    """Ln P(χ²(k) > g), by its asymptote (k/2 − 1)·ln(g/2) − g/2 − ln Γ(k/2) where it is too small to be computed.
+
+    Args:
+        gain: g.
+        count: k.
+    """
     if gain <= 0:
         return 0.0
     exact = float(chdtrc(count, gain))
@@ -196,8 +207,9 @@ def log_p_value(gain: float, count: int) -> float:
 
 
 def estimates_of(data: Data, best: Fitted, k: int) -> dict[str, Estimate]:
-    """The parameters of a part of the hypothesis with 95 % intervals.
+    """The parameters of a part of the hypothesis with 95 % intervals [unit of each].
 
+    θ ± t·s by Student's t, see ``identification.uncertainty``, or by profile likelihood where the predictions jump.
     They are clipped at the parameters' bounds, and ±inf where there is no end.
     """
     first = len(data.free.free) + sum(p.candidate.n_parameters for p in best.hypothesis[:k])
@@ -258,6 +270,7 @@ def _equivalent(
             continue
         more = worse(finely(alternative), finely(end.best))
         if within(more, margin):
+            # Whether it is better is decided; by how much is told by the thresholds as they are.
             better = 0.0 if within(-more, margin) else -more - margin(thresholds)
             others[other] = Equivalent(named_part(part), alternative, better)
     return tuple(others.values()), tried
@@ -276,7 +289,7 @@ def _undecided(search: Search, end: SearchState, k: int) -> tuple[dict[str, Equi
 
 
 def ranking(search: Search, end: SearchState) -> tuple[Ranked, ...]:
-    """All candidates alone, best first."""
+    """All candidates alone, by what they gain in −2 ln L, fitted or else to first order, the best first."""
     alone: dict[str, float] = {}
     for fitted in end.tried.fitted:
         if len(fitted.hypothesis) == 1:
@@ -285,7 +298,7 @@ def ranking(search: Search, end: SearchState) -> tuple[Ranked, ...]:
     ranked = [
         Ranked(
             named_candidate(s.candidate),
-            max(s.gains[1], 0.0),
+            max(s.gains[ESTIMATED], 0.0),
             alone.get(s.candidate.label),
             search.threshold(s.candidate.n_parameters),
         )
@@ -296,7 +309,12 @@ def ranking(search: Search, end: SearchState) -> tuple[Ranked, ...]:
 
 
 def detectable(search: Search, end: SearchState) -> tuple[Detectable, ...]:
-    """The smallest size of each effect that would have been accepted."""
+    """The smallest size of each effect that would have been accepted.
+
+    χ² of its change beyond the free parameters, ``Screened.strength``, grows with the square of the size. So from the
+    guess of size a whose strength s is nearest to the acceptance threshold the smallest size is a·√(threshold/s). Of an
+    effect without a size it is the weakest guess that would be accepted; nan where none would.
+    """
     smallest = []
     for s in end.tried.first:
         if s.candidate.each or s.candidate.absent:  # of which each place, and all groups, are candidates by themselves

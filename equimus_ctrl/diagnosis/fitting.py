@@ -440,7 +440,8 @@ class Data:
 
     def _with_noise(self, hypothesis: Hypothesis, after: Fit) -> Fitted:
         """A hypothesis with its estimates, the noise estimated from its residuals, and its deviance under that."""
-        noise = estimate_noise(self.times, after.residuals, correlated=self._correlated)
+        longest = self.thresholds.longest_noise
+        noise = estimate_noise(self.times, after.residuals, longest, self._correlated)
         deviance = -2.0 * log_likelihood(noise, self.times, after.residuals)
         return Fitted(refined(hypothesis, after.theta[len(self.free.free) :]), after, noise, deviance)
 

@@ -1,7 +1,7 @@
 """What differs between groups of trials, such as units of a robot or days: parameters with a value of their own there.
 
 All groups share one model. A parameter of the model or of an effect gets a value of its own in a group where that lets
-−2 ln L fall by more than an effect has to (``HypothesisMoves.threshold``) and held-out trials confirm it; an effect
+−2 ln L fall by more than an effect has to (``Scoring.threshold``) and held-out trials confirm it; an effect
 that does nothing in a group is absent there. Moves are ranked by their gain to first order,
 
     (rᵀPc)² / cᵀPc,    c = column of the parameter's Jacobian in the rows of the group, 0 elsewhere
@@ -18,7 +18,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from equimus_ctrl.diagnosis.confirmation import Confirmation, HoldoutResiduals, confirmation_of, confirms
+from equimus_ctrl.diagnosis.confirmation import Confirmation, HoldoutResiduals, confirmation_of, least_confirmed
 from equimus_ctrl.diagnosis.fitting import Data, Fitted
 from equimus_ctrl.diagnosis.holdout import Split
 from equimus_ctrl.diagnosis.hypothesis import Hypothesis, Part
@@ -177,7 +177,11 @@ def absent(part: Part, groups: Sequence[str]) -> Part:
 
 
 def told_apart(apart: Apart, split: Split) -> Apart:
-    """With the values of groups that are needed and confirmed, and those alone."""
+    """With the values of groups that are needed and confirmed, and those alone.
+
+    Raises:
+        BudgetSpent: where the budget ends.
+    """
     groups = groups_of(apart.data.segments)
     apart = _forward(apart, groups)
     apart = _alike_where_possible(_backward(apart, split))
@@ -185,11 +189,14 @@ def told_apart(apart: Apart, split: Split) -> Apart:
 
 
 def _forward(apart: Apart, groups: Sequence[str]) -> Apart:
+    search = apart.search  # whatever is free, the threshold is the same
+
+    def promising(gain: float) -> bool:
+        return search.data.thresholds.decides(lambda t: gain * search.settings.optimism > search.threshold(1, t))
+
     while True:
-        least = apart.search.threshold(1)
-        optimism = apart.search.settings.optimism
-        promising = [own for gain, own in apart.moves(groups)[:TRIED] if gain * optimism > least]
-        options = [after for own in promising if (after := apart.with_own(own)) is not None]
+        tried = [own for gain, own in apart.moves(groups)[:TRIED] if promising(gain)]
+        options = [after for own in tried if (after := apart.with_own(own)) is not None]
         best = min(options, key=lambda after: after.best.deviance, default=None)
         if best is None or not _accepts(apart.search, apart.best, best.best):
             return apart
@@ -197,7 +204,7 @@ def _forward(apart: Apart, groups: Sequence[str]) -> Apart:
 
 
 def _accepts(search: Search, simple: Fitted, rich: Fitted) -> bool:
-    """Whether a value more is worth its gain, as ``HypothesisMoves.accepts``."""
+    """Whether a value more is worth its gain, as ``Scoring.accepts``."""
     gain = simple.deviance - rich.deviance
     return search.data.thresholds.decides(lambda t: gain > search.threshold(1, t))
 
@@ -213,10 +220,10 @@ def _backward(apart: Apart, split: Split) -> Apart:
             apart = least
             continue
         judged = [(confirmation(apart, after.best, split), after) for after in options]
-        worst = min(judged, key=lambda one: one[0].ratio)
-        if confirms(apart.search, worst[0].ratio):
+        worst = least_confirmed(apart.search, [said for said, _ in judged])
+        if worst is None:
             return apart
-        apart = worst[1]
+        apart = judged[worst][1]
 
 
 def _alike_where_possible(apart: Apart) -> Apart:
@@ -235,7 +242,7 @@ def _alike_where_possible(apart: Apart) -> Apart:
 
 
 def confirmation(apart: Apart, without: Fitted, split: Split) -> Confirmation:
-    """What recordings say of a value of a group."""
+    """What recordings say of a value of a group: nothing against it where none are held out."""
     if not split.validation:
         return Confirmation("evident", math.inf)
     holdout = HoldoutResiduals(apart.data, split, SearchState(apart.best, apart.best))

@@ -4,20 +4,28 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Collection, Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from scipy.special import chdtri
 
 from equimus_ctrl import computer
-from equimus_ctrl.diagnosis.fitting import CONVERGED_GAIN, Data, Fitted
+from equimus_ctrl.diagnosis.fitting import CONVERGED_GAIN, Fitted
 from equimus_ctrl.diagnosis.group_splits import own_in_each_group, splits_by_group
 from equimus_ctrl.diagnosis.hypothesis import Candidate, Hypothesis, Part, model_of
-from equimus_ctrl.diagnosis.policy import SearchSettings, Thresholds
+from equimus_ctrl.diagnosis.policy import Thresholds
 from equimus_ctrl.diagnosis.richer_laws import richer
+from equimus_ctrl.diagnosis.scoring import Scoring, extra_parameters
 from equimus_ctrl.diagnosis.screening import ESTIMATED, WHITE, Screened, screen
-from equimus_ctrl.diagnosis.search_state import Choice, Extended, Proposal, SearchHistory, SearchState
+from equimus_ctrl.diagnosis.search_state import (
+    Choice,
+    Extended,
+    Proposal,
+    RivalDeviance,
+    SearchHistory,
+    SearchState,
+    no_rival,
+)
 from equimus_ctrl.diagnosis.torque_agreement import shown_in_torques
 from equimus_ctrl.diagnosis.torque_screening import TorqueDomain, torque_domain
 from equimus_ctrl.diagnosis.torque_start import worth_simulating
@@ -29,33 +37,19 @@ from equimus_ctrl.types import Array
 
 Notify = Callable[[str, str], None]
 """Called with the stage and the best hypothesis so far."""
-EXCHANGE_MARGIN = 2 * CONVERGED_GAIN
-"""Least difference of score for which a part is exchanged. Either fit may end ``CONVERGED_GAIN`` above its minimum, so
-less than twice that ranks nothing: two parts that fit alike would take each other's place round after round."""
-
-
-def extra_parameters(simple: Fitted, rich: Fitted) -> int:
-    """Degrees of freedom by which a hypothesis is richer than another; at least 1, for it may only be another one."""
-    return max(rich.n_parameters - simple.n_parameters, 1)
 
 
 @dataclass(frozen=True, eq=False)
-class HypothesisMoves:
+class HypothesisMoves(Scoring):
     """The moves of a search over hypotheses (sets of candidates).
 
     Attributes:
-        data: what was measured.
-        pool: the candidates.
-        settings: how it goes.
         notify: see ``Notify``.
         fits_on_short_intervals: hypotheses with these candidates, fitted to short shooting intervals of the same
             trials, to start from.
         fits_with_other_engine: those fitted to the same segments with another engine, as further alternatives.
     """
 
-    data: Data
-    pool: Sequence[Candidate]
-    settings: SearchSettings = field(default_factory=SearchSettings)
     notify: Notify = lambda stage, best: None
     fits_on_short_intervals: Sequence[Fitted] = ()
     fits_with_other_engine: Sequence[Fitted] = ()
@@ -67,37 +61,6 @@ class HypothesisMoves:
         left = [candidate.narrowed(places) for candidate, places in allowed if () != places != candidate.locations]
         labels = {candidate.label for candidate in whole}
         return [*whole, *(candidate for candidate in left if candidate.label not in labels)]
-
-    def score(self, fitted: Fitted) -> float:
-        """Bayesian information criterion, deviance + k·ln n of k parameters and n numbers measured (Schwarz, 1978)."""
-        return fitted.deviance + fitted.n_parameters * float(np.log(self.data.n))
-
-    def accepts(self, simple: Fitted, rich: Fitted) -> bool:
-        """Whether the gain of the richer hypothesis exceeds the acceptance threshold on −2Δln L."""
-        gain = simple.deviance - rich.deviance
-        return self.data.thresholds.decides(lambda t: gain > self.threshold(extra_parameters(simple, rich), t))
-
-    def threshold(self, parameters: int, thresholds: Thresholds | None = None) -> float:
-        """Acceptance threshold on −2Δln L of an effect with k parameters: max(F⁻¹(1 − α/N; k), ε·n) + scatter.
-
-        F is the distribution function of χ², α the ``significance``, N the number of candidates (Bonferroni), ε the
-        ``simulation_error``, n how many numbers were measured; see ``scatter``.
-
-        Args:
-            parameters: k.
-            thresholds: those of the data by default.
-        """
-        t = thresholds or self.data.thresholds
-        quantile = float(chdtri(parameters, t.significance / max(len(self.pool), 1)))
-        return max(quantile, t.simulation_error * self.data.n) + self.scatter(t)
-
-    def scatter(self, thresholds: Thresholds) -> float:
-        """By how much deviances scatter with the local minimum that a fit ends in; 0 where there is one minimum."""
-        return thresholds.minima_scatter if self.settings.many_minima else 0.0
-
-    def equally_good(self, t: Thresholds, share: float = 0.0) -> float:
-        """Largest difference of score of two hypotheses that fit as well, or a share of a gain where that is more."""
-        return max(max(t.indistinguishable, share) + self.scatter(t), t.simulation_error * self.data.n)
 
     def challenge(
         self, tried: SearchHistory, fitted: Fitted, replacing: str = "", rival: Fitted | None = None
@@ -111,11 +74,14 @@ class HypothesisMoves:
             fitted: what they add to.
             replacing: label of a candidate that is not tried, to find others in its place.
             rival: the hypothesis with that candidate: what stays far behind it need not be fitted whole.
+
+        Raises:
+            BudgetSpent: where the budget ends.
         """
-        least = math.inf if rival is None or self.settings.many_minima else self._listed_from(fitted, rival)
+        least = no_rival if rival is None or self.settings.many_minima else self._listed_from(fitted, rival)
         for replaced in ("", replacing):
             known = tried.extended.get((fitted.labels, replaced))
-            if known is None or known.rival < least:
+            if known is None or self._measured_against_less(known, least):
                 continue
             options = [o for o in known.options if replacing not in o.labels and tried.allows(o.candidates)]
             if self._serves(known, options, fitted, least):
@@ -124,12 +90,16 @@ class HypothesisMoves:
         entry = {(fitted.labels, replacing): Extended(fitted, tuple(options), least)}
         return options, replace(tried, extended={**tried.extended, **entry})
 
-    def _listed_from(self, fitted: Fitted, rival: Fitted) -> float:
+    def _listed_from(self, fitted: Fitted, rival: Fitted) -> RivalDeviance:
         """Deviance up to which another part of one parameter may fit as well as the rival's and is listed."""
-        fewer, t = extra_parameters(fitted, rival) - 1, self.data.thresholds
-        return rival.deviance + fewer * float(np.log(self.data.n)) + self.equally_good(t) + t.step_scatter
+        saved = (extra_parameters(fitted, rival) - 1) * float(np.log(self.data.n))
+        return lambda t: rival.deviance + saved + self.equally_good(t) + t.step_scatter
 
-    def _serves(self, known: Extended, options: Sequence[Fitted], fitted: Fitted, rival: float) -> bool:
+    def _measured_against_less(self, known: Extended, rival: RivalDeviance) -> bool:
+        """Whether known extensions had to come nearer than to a rival, so that some are not fitted far enough."""
+        return self.data.thresholds.decides(lambda t: known.rival(t) < rival(t))
+
+    def _serves(self, known: Extended, options: Sequence[Fitted], fitted: Fitted, rival: RivalDeviance) -> bool:
         """Whether extensions of an earlier fit do for one of the same hypothesis that ended lower.
 
         Extensions of the lower one may end lower too, by ``SearchSettings.optimism`` times as much. Where even then
@@ -138,8 +108,8 @@ class HypothesisMoves:
         lower = known.base.deviance - fitted.deviance
         if lower <= CONVERGED_GAIN:
             return True
-        lack = min((option.deviance for option in options), default=-math.inf) - rival
-        return rival < math.inf and self.settings.optimism * lower < lack
+        best, hoped = min((option.deviance for option in options), default=-math.inf), self.settings.optimism * lower
+        return self.data.thresholds.decides(lambda t: rival(t) < math.inf and hoped < best - rival(t))
 
     def extensions(
         self,
@@ -147,7 +117,7 @@ class HypothesisMoves:
         fitted: Fitted,
         replaced: str = "",
         known: Sequence[str] | None = None,
-        rival: float = math.inf,
+        rival: RivalDeviance = no_rival,
     ) -> tuple[list[Fitted], SearchHistory]:
         """Hypotheses with one more part: the promising ones, or with some that are known all others.
 
@@ -157,6 +127,9 @@ class HypothesisMoves:
             replaced: label of a candidate that is not tried.
             known: labels of those that are known; None where only promising ones are to be fitted.
             rival: deviance that they have to come near to.
+
+        Raises:
+            BudgetSpent: where the budget ends.
         """
         pool = [c for c in self.allowed_candidates(tried) if c.label not in {replaced, *(known or ())}]
         most = min(self.settings.tried, self.settings.tried_in_place) if replaced else self.settings.tried
@@ -290,17 +263,18 @@ class HypothesisMoves:
         begins = [(self.data.theta_of(fitted.fit.theta, split), fitted.fit.starts) for split in own]
         return [*proposals, *(Proposal(split, (begin,)) for split, begin in zip(own, begins, strict=True))]
 
-    def _coarse_fits(self, fitted: Fitted, proposals: Sequence[Proposal], rival: float) -> list[Fitted]:
+    def _coarse_fits(self, fitted: Fitted, proposals: Sequence[Proposal], rival: RivalDeviance) -> list[Fitted]:
         """Those that can be simulated, after a few steps, the best score first.
 
         Not those whose hope, times ``SearchSettings.optimism``, is less than what the best one gains, or the rival, or
         than the acceptance threshold.
         """
         options, noise = list[Fitted](), white_noise(fitted.fit.residuals)
-        most = fitted.deviance - rival
+        most = -math.inf
 
         def hopeless(proposal: Proposal) -> bool:
-            too_little = proposal.hope * self.settings.optimism < most
+            best, hoped = most, proposal.hope * self.settings.optimism
+            too_little = self.data.thresholds.decides(lambda t: hoped < max(best, fitted.deviance - rival(t)))
             return too_little or self._cannot_be_accepted(fitted, proposal.hypothesis, proposal.hope)
 
         def after_some_steps(proposal: Proposal) -> Fitted | Exception:
@@ -332,21 +306,23 @@ class HypothesisMoves:
         more, most = max(rich - simple, 1), self.settings.optimism * gain
         return not self.data.thresholds.decides(lambda t: most > self.threshold(more, t))
 
-    def _best_converged(self, fitted: Fitted, options: Sequence[Fitted], rival: float) -> list[Fitted]:
+    def _best_converged(self, fitted: Fitted, options: Sequence[Fitted], rival: RivalDeviance) -> list[Fitted]:
         """Coarse fits, best first, of which the first few that are close to the best are fitted until converged.
 
         Where fits have few minima, also others close to it that were still gaining: their rank is not known yet. Not
         those that after some more steps lack more than a share of what the rival gains, or gain too little of what
         they have to, nor those that would even with ``SearchSettings.optimism``: they do not reach it.
         """
-        settings = self.settings
-        needed = (1 - settings.rival_share) * (fitted.deviance - rival) - settings.kept_gain
+        settings, thresholds = self.settings, self.data.thresholds
+
+        def needed(t: Thresholds) -> float:
+            return (1 - settings.rival_share) * (fitted.deviance - rival(t)) - settings.kept_gain
 
         def out_of_reach(option: Fitted) -> bool:
             gain = fitted.deviance - option.deviance
             if option.fit.converged and self._cannot_be_accepted(fitted, option.hypothesis, gain):
                 return True
-            return not settings.many_minima and settings.optimism * gain < needed
+            return not settings.many_minima and thresholds.decides(lambda t: settings.optimism * gain < needed(t))
 
         def converged(place: int) -> Fitted:
             option, best = options[place], options[0].deviance
@@ -365,13 +341,17 @@ class HypothesisMoves:
             if place == 0:
                 option = self._or_of_other_sign(fitted, option)
             gain = fitted.deviance - option.deviance
-            if gain >= needed and not self._cannot_be_accepted(fitted, option.hypothesis, gain):
+            if thresholds.decides(lambda t: gain >= needed(t)) and not self._cannot_be_accepted(
+                fitted, option.hypothesis, gain
+            ):
                 return self.data.converge(option, settled=self._settled(option.hypothesis, fitted.labels))
             return option
 
         return [after for _, after in computer.side_by_side(self.data.threads, converged, range(len(options)))]
 
-    def _best_of_its_own_converged(self, fitted: Fitted, options: Sequence[Fitted], rival: float) -> list[Fitted]:
+    def _best_of_its_own_converged(
+        self, fitted: Fitted, options: Sequence[Fitted], rival: RivalDeviance
+    ) -> list[Fitted]:
         """Options of which the best that does not stand for other parameters is converged too.
 
         It is taken where the best one is ``aliased``. A fit that is not at its minimum would seem to need fewer parts.
@@ -429,7 +409,12 @@ class HypothesisMoves:
         return (domain := self.torque_domain) is not None and not shown_in_torques(self.data, domain, fitted, last)
 
     def exchanged(self, state: SearchState) -> SearchState:
-        """Parts that are not needed dropped, parts for which others fit better exchanged."""
+        """Parts that are not needed dropped, parts for which others fit better exchanged.
+
+        Raises:
+            BudgetSpent: where the budget ends.
+            SimulationDiverged: where a hypothesis without one of its parts diverges.
+        """
         for _ in range(self.settings.exchanges):
             state, changed = self._dropped_or_exchanged(state)
             if not changed:
@@ -453,7 +438,7 @@ class HypothesisMoves:
             without.append(rest)
             alternatives.append(tuple(others))
             no_larger = [o for o in others if len(o.hypothesis) <= len(best.hypothesis)]
-            better = [o for o in no_larger if self.score(o) < self.score(best) - EXCHANGE_MARGIN]
+            better = [o for o in no_larger if self.outdoes(o, best)]
             top = next((o for o in sorted(better, key=self.score) if not self.aliased(o)), None)
             if top is not None:
                 return replace(state, best=top, without=(), alternatives=(), tried=tried), True
@@ -462,7 +447,11 @@ class HypothesisMoves:
     def refitted(
         self, tried: SearchHistory, fitted: Fitted, hypothesis: Hypothesis
     ) -> tuple[list[Fitted], SearchHistory]:
-        """As ``refit``; nothing where parts exclude each other or it cannot have happened."""
+        """As ``refit``; nothing where parts exclude each other or it cannot have happened.
+
+        Raises:
+            BudgetSpent: where the budget ends.
+        """
         try:
             after, tried = self.refit(tried, fitted, hypothesis)
         except (ConfigError, SimulationDiverged):
@@ -470,7 +459,12 @@ class HypothesisMoves:
         return [after], tried
 
     def moved(self, state: SearchState, best: Fitted) -> SearchState:
-        """A search moved to another hypothesis, with what it would be without each part."""
+        """A search moved to another hypothesis, with what it would be without each part.
+
+        Raises:
+            BudgetSpent: where the budget ends.
+            SimulationDiverged: where a hypothesis without one of its parts diverges.
+        """
         parts, tried = best.hypothesis, state.tried
         without: list[Fitted] = []
         for k in range(len(parts)):
@@ -492,6 +486,7 @@ class HypothesisMoves:
         Raises:
             ConfigError: where two parts exclude each other.
             SimulationDiverged: where it diverges from both.
+            BudgetSpent: where the budget ends.
         """
         data = self.data
         model_of(data.free.model, hypothesis)  # raises where parts exclude each other

@@ -17,18 +17,18 @@ from equimus_ctrl.types import Array
 def noise_sizes(segments: Sequence[Segment], fitted: Fitted, thresholds: Thresholds) -> Array:
     """(nj + ne,) standard deviation of the noise of each joint or channel [its unit], to judge residuals by.
 
-    It is as a fit estimates it from the residuals it leaves, of which slow ones pass for coloured noise; but no larger
-    than their second differences allow, see ``largest_noise``. What comes in steps of q is off by up to q/2 and, at
-    rest, for as long as one likes: the noise is no less than q/√12, of which q/2 is less than twice. A measurement that
+    max(min(σ, s), q/√12), with σ as a fit estimates it from the residuals it leaves, of which slow ones pass for
+    coloured noise; s what their second differences allow, see ``largest_noise``; q the step in which measurements come.
+    These are off by up to q/2 and, at rest, for as long as one likes: q/2 is less than twice q/√12. A measurement that
     never changes allows anything.
 
     Args:
         segments: what was fitted.
         fitted: a hypothesis.
-        thresholds: of which ``noise_bound`` is the level.
+        thresholds: of which ``noise_bound`` is the level of s, and ``longest_noise`` the longest correlation.
     """
     times = [segment.trial.sample_times for segment in segments]
-    largest = largest_noise(times, fitted.fit.residuals, thresholds.noise_bound)
+    largest = largest_noise(times, fitted.fit.residuals, thresholds.noise_bound, thresholds.longest_noise)
     measured = np.concatenate([segment.outputs for segment in segments])
     steps = np.array([_step(column) for column in measured.T])
     estimated = np.array([own.sigma for own in fitted.noise])

@@ -1,327 +1,397 @@
-"""How a diagnosis fits and searches, and each threshold that decides a verdict: meaning, unit and origin."""
+"""How a diagnosis fits and searches, and the thresholds that decide a verdict: meaning, unit, origin, and where.
+
+``Thresholds`` has the numbers that accept or reject: `equimus-ctrl list thresholds` shows them, and
+benchmarks/thresholds.py varies them. ``other_numbers`` lists the rest, which stand where they are used: what bounds
+what is looked at, what belongs to a method, and what keeps arithmetic sound. ``SearchPolicy`` is how searches differ;
+most of what differs between robots is asked of ``RobotTraits`` where it matters.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, fields, replace
-from typing import Any, Literal
 
+from equimus_ctrl.diagnosis.threshold import Threshold, decided_by
 from equimus_ctrl.engines.base import Engine
-from equimus_ctrl.identification.noise import COLOUR
+from equimus_ctrl.identification.noise import COLOUR, LONGEST
 from equimus_ctrl.robots.base import RobotTraits
-
-Basis = Literal["theory", "convention", "calibration"]
-"""Where a number comes from: what follows from statistics, what a field agrees on, or what proofs showed to work."""
-
-
-@dataclass(frozen=True)
-class Origin:
-    """Where a threshold comes from.
-
-    Attributes:
-        basis: what kind of reason there is.
-        why: the reason, with its source or the script that reproduces it.
-    """
-
-    basis: Basis
-    why: str
-
-
-@dataclass(frozen=True)
-class Threshold:
-    """One number that decides.
-
-    Attributes:
-        name: in ``Thresholds``.
-        value: by default.
-        unit: of it; "" for a ratio.
-        meaning: what it decides.
-        origin: where it comes from.
-    """
-
-    name: str
-    value: float
-    unit: str
-    meaning: str
-    origin: Origin
-
 
 PROOFS = "rates of `prove` over it: benchmarks/thresholds.py, docs/proof.md"
 """Of what is calibrated: how the proof's answers move when the number is halved and doubled."""
 DEVIANCE = "−2Δln L"
 
 
-def _decides(value: float, unit: str, meaning: str, basis: Basis, why: str) -> Any:
-    return field(default=value, metadata={"unit": unit, "meaning": meaning, "origin": Origin(basis, why)})
-
-
 @dataclass(frozen=True)
 class Thresholds:
     """The thresholds that decide findings and unexplained residuals.
 
-    Each is a field with its unit, meaning and origin; ``listed`` gives them all. Decisions are asked of ``decides``.
+    Each is a field with its unit, meaning and origin; ``listed`` gives them all. Decisions are asked of ``decides``,
+    but for the few that are ``Threshold.read``.
     """
 
-    significance: float = _decides(
+    significance: float = decided_by(
         1e-3,
         "",
-        "probability of accepting any effect where none is missing, over all candidates (false alarm)",
+        "probability of accepting any effect where none is missing, over all candidates (false alarm): by −2Δln L, by "
+        "how its gain stands out from the scatter of blocks, and of what a search in the torque domain begins with",
         "theory",
         "likelihood-ratio test, Wilks (1938), with Bonferroni's correction for the number of candidates",
+        where="block_scatter scoring torque_start",
     )
-    simulation_error: float = _decides(
+    simulation_error: float = decided_by(
         1.5e-3,
         "noise variances",
         "least share of the noise's variance that an effect or a residual force has to explain, for as many "
-        "samples as there are: two simulators of one robot differ by some of that",
+        "samples as there are: two simulators of one robot differ by some of that. Alternatives that differ by no more "
+        "fit as well",
         "calibration",
         PROOFS,
+        where="scoring unexplained",
     )
-    colour: float = _decides(
+    colour: float = decided_by(
         COLOUR,
         DEVIANCE,
         "a joint's noise is taken to be correlated over time from this gain over white noise on",
         "theory",
         "likelihood-ratio test (Wilks, 1938) of two more parameters, size and time, at the level 0.0025",
+        where="fitting",
     )
-    minima_scatter: float = _decides(
+    longest_noise: float = decided_by(
+        LONGEST,
+        "s",
+        "longest correlation of noise: residuals that last longer are not taken for noise, but for missing physics",
+        "convention",
+        "noise of measurements that were low-passed both ways at 6 Hz, as of motion capture, counts as noise, a swing "
+        "of a second does not",
+        where="fitting noise_size",
+        read=True,
+    )
+    minima_scatter: float = decided_by(
         20.0,
         DEVIANCE,
-        "by so much deviances scatter with where a fit ends, where it has many local minima",
+        "by so much deviances scatter with where a fit ends, where it has many local minima: an effect has to gain so "
+        "much more there, and alternatives that differ by so much more fit as well",
         "calibration",
         PROOFS,
+        where="scoring",
     )
-    indistinguishable: float = _decides(
+    indistinguishable: float = decided_by(
         10.0,
         DEVIANCE,
-        "hypotheses with as many parameters that differ by less are not distinguishable",
+        "hypotheses whose scores differ by less fit as well (BIC, whatever the number of parameters): alternatives are "
+        "listed, and one at fewer places, or one in the place of several or of one that is not confirmed, is taken. "
+        "Predictions that differ by less in χ² are alike: a second effect is tried beside one of the two, and a "
+        "direction of a law's parameters along which no more changes does not count",
         "convention",
         "evidence above 10 is very strong, a Bayes factor of 150: Kass & Raftery (1995), 3.2",
+        where="alternatives fitting scoring search",
     )
-    indistinguishable_share: float = _decides(
+    indistinguishable_share: float = decided_by(
         0.05,
         "of the gain",
-        "the same as a share of an effect's own gain, where something stays unexplained",
+        "where something stays unexplained, alternatives are listed that lack less than this share of an effect's own "
+        "gain, if that is more than indistinguishable",
         "calibration",
         PROOFS,
+        where="findings",
     )
-    step_scatter: float = _decides(
+    fewer_places_share: float = decided_by(
+        0.05,
+        "of the gain",
+        "an effect that loses less than this share of its gain at one place less is not sure to be at that place: "
+        "other effects are exchanged beside it at fewer, too",
+        "calibration",
+        PROOFS,
+        where="alternatives",
+    )
+    generalised_share: float = decided_by(
+        0.05,
+        "of the gain",
+        "a law is another one where a force left at its joint, which depends on more than the law, gains more than "
+        "this share of what the law gains: by residuals, and in the torque domain, which else keeps the law",
+        "calibration",
+        PROOFS,
+        where="smooth_laws unexplained",
+    )
+    exchange: float = decided_by(
+        1.0,
+        DEVIANCE,
+        "least difference of score for which an effect is exchanged for another",
+        "theory",
+        "either fit may end fitting.CONVERGED_GAIN above its minimum, so less than twice that ranks nothing",
+        where="scoring",
+    )
+    step_scatter: float = decided_by(
         60.0,
         DEVIANCE,
-        "alternatives within so much more are simulated again with finer steps before they are compared",
+        "alternatives within so much more are fitted whole, and simulated again with finer steps, before they are "
+        "compared",
         "calibration",
         PROOFS,
+        where="findings hypothesis_moves",
     )
-    validation_share: float = _decides(
+    validation_share: float = decided_by(
         0.25,
         "",
-        "least gain on validation trials for each sample, over that on the trials fitted, of an effect that is "
-        "confirmed",
+        "least gain on validation trials for each sample, over that on the trials fitted, or over what these can show, "
+        "of an effect that is confirmed, and of all departures from the nominal parameters together",
         "theory",
         "a gain Δ expected there is normal with variance 4Δ; at the least gain that is accepted, about 20, 5 % of true "
         "effects gain less than 20 − 1.64·2·√20 = 5.3, a quarter",
+        where="confirmation units_compared",
     )
-    torque_share: float = _decides(
+    torque_share: float = decided_by(
         0.25,
         "",
         "least share of what a smooth force at a joint would explain of the forces along the measured motion, at the "
-        "size that simulation found, that it does explain there",
+        "size that simulation found, that it does explain there: else the search does not take it, and it is not "
+        "confirmed",
         "convention",
         "the sizes found in the two ways then differ by a factor of two",
+        where="confirmation torque_agreement",
     )
-    uninformative: float = _decides(
+    uninformative: float = decided_by(
         16.0,
         "χ²",
-        "validation trials, or measured forces, on which two models differ by less do not decide between them",
+        "validation trials, or forces along the measured motion, on which two models differ by less do not decide "
+        "between them, and half of a kind of validation trials whose χ² rises by less gets no worse",
         "theory",
         "the gain of the true one, 16 in the mean, is then two of its standard deviations, 2·√16, above nothing",
+        where="confirmation torque_agreement",
     )
-    evident: float = _decides(
+    evident: float = decided_by(
         5.0,
         "least gains",
         "an effect that validation trials cannot show is accepted from so many times the least gain on",
         "calibration",
         PROOFS,
+        where="confirmation",
     )
-    residual_gain: float = _decides(
+    residual_gain: float = decided_by(
         40.0,
         "χ²",
-        "least fall of χ² in cross-validation for a residual force; what an effect beside one has to explain",
+        "least fall of χ² in cross-validation for a residual force that is reported; what one has to explain more than "
+        "an effect that it replaces, and what an effect beside one has to explain",
         "theory",
         "with 8 spline coefficients and some 40 forces, χ² exceeds 37 on noise with probability 1e-3 (Bonferroni)",
+        where="confounding unexplained",
     )
-    residual_price: float = _decides(
+    residual_price: float = decided_by(
         2.0,
         "χ² a coefficient",
         "what a residual force has to explain more than an effect, for each coefficient, to replace it",
         "theory",
         "Akaike (1974)",
+        where="confounding",
     )
-    residual_price_alone: float = _decides(
+    residual_price_alone: float = decided_by(
         3.0,
         "χ² a coefficient",
         "the same of residual forces among each other, where one trial alone allows no cross-validation",
         "theory",
         "on noise a coefficient gains 1 on what is fitted and costs 1 on what is not (Akaike, 1974); one more is for "
         "the choice among forces",
+        where="residual_force",
+        read=True,
     )
-    trace: float = _decides(
+    trace: float = decided_by(
         0.01,
         "",
         "a residual force is not reported below this share of all that the effects and it explain",
         "calibration",
         PROOFS,
+        where="unexplained",
     )
-    smooth_trace: float = _decides(
+    smooth_trace: float = decided_by(
         0.01,
         "of the gain",
         "a smooth force beside named laws is not reported below this share of −2Δln L of all that these and it explain",
         "convention",
         "a hundredth of the evidence; each of the two is judged by the noise that it leaves itself",
+        where="smooth_laws",
     )
-    replaces_one: float = _decides(
+    smooth_asked: float = decided_by(
+        0.05,
+        "",
+        "a smooth force beside named laws is simulated where the torque domain explains by it what chance would with "
+        "at most this probability, over all that are asked for; one that is not is not reported",
+        "convention",
+        "mild, for simulation accepts it or not at the level of significance",
+        where="smooth_laws",
+    )
+    replaces_one: float = decided_by(
         0.85,
         "",
         "a residual force stands in for an effect and what remains from this share of what both explain on",
         "calibration",
         PROOFS,
+        where="unexplained",
     )
-    replaces_restated: float = _decides(
+    replaces_restated: float = decided_by(
         1.1,
         "",
         "the same for a residual force that depends on more than the effect's own law",
         "calibration",
         PROOFS,
+        where="unexplained",
     )
-    replaces_all: float = _decides(
+    replaces_all: float = decided_by(
         0.97,
         "",
         "one residual force stands in for several effects from this share of what they explain on",
         "calibration",
         PROOFS,
+        where="unexplained",
     )
-    drawn: float = _decides(
+    drawn: float = decided_by(
         0.03,
         "of a force's square",
         "a smooth force beside a friction law could be that law where it leaves less of it: then its gain says nothing "
         "of the law",
         "theory",
         "of evenly spread speeds six cubic splines leave 0.0001 of v|v|, 0.004 of |v| and 0.08 of sign(v)",
+        where="smooth_laws",
     )
-    no_constant: float = _decides(
+    no_constant: float = decided_by(
         0.05,
         "of a force's square",
         "damping is another law than viscous friction where more of the speed times a function of the angle is not the "
         "speed times a constant",
         "convention",
         "the damping's standard deviation is then 23 % of its mean",
+        where="smooth_laws",
     )
-    linear_share: float = _decides(
+    linear_share: float = decided_by(
         0.3,
         "",
         "a linear model that reproduces less of the rise of χ² without an effect does not decide on it",
         "calibration",
         PROOFS,
+        where="confounding",
     )
-    far_off: float = _decides(
+    far_off: float = decided_by(
         3.0,
         "noise variances",
         "excess residual variance of a joint from which on it is unexplained, whatever it depends on",
         "convention",
         "a normalised RMSE of 2",
+        where="unexplained",
     )
-    noise_bound: float = _decides(
+    noise_bound: float = decided_by(
         1e-3,
         "",
         "probability that a joint's noise is larger than the second differences of its residuals are taken to allow",
         "theory",
         "upper confidence limit of a variance: χ² of as many second differences as share no samples",
+        where="noise_size",
+        read=True,
     )
-    blocks: float = _decides(
+    blocks: float = decided_by(
         24.0,
         "",
         "so many blocks of the recordings, with equal shares of what an effect changes, tell how residuals scatter",
         "convention",
         "few, so that each outlasts what residuals remember; with 24 an effect of one parameter has to gain 1.5 times "
         "what it would if their scatter were known (F over χ² at the level 1e-3 of 40 candidates)",
+        where="confirmation",
     )
-    scattered: float = _decides(
+    scattered: float = decided_by(
         1e-3,
         "",
         "probability that residuals that are noise alone are taken to scatter more over blocks than their noise",
         "theory",
         "upper confidence limit of a variance: χ² of as many blocks less one",
+        where="block_scatter",
     )
-    outdone: float = _decides(
+    outdone: float = decided_by(
         0.5,
         "",
-        "an effect that explains less of what a residual force would is not what is missing",
+        "an effect that explains less of what a residual force would, or of all that there is, is not what is missing",
         "calibration",
         PROOFS,
+        where="search",
     )
-    runner_up: float = _decides(
+    runner_up: float = decided_by(
         0.7,
         "",
         "a first effect with this share of the best one's gain is given a second effect as well",
         "calibration",
         PROOFS,
+        where="search",
     )
-    step_matters: float = _decides(
+    step_matters: float = decided_by(
         1e-3,
         "noise variances",
         "a finer physics step that changes less than this is not looked at",
         "convention",
         "below what an effect has to explain (simulation_error)",
+        where="discretization",
     )
-    step_explains: float = _decides(
+    step_explains: float = decided_by(
         4.0,
         "",
         "an effect that gains less than so many times what a finer step changes may be the step's error",
         "theory",
         "two standard deviations of the change",
+        where="discretization",
     )
-    refit_far_above_noise: float = _decides(
+    refit_far_above_noise: float = decided_by(
         1.5,
         "noise",
         "from this RMSE on more is left than noise: other local minima are looked for",
         "calibration",
         PROOFS,
+        where="fitting",
     )
-    refit_strong: float = _decides(
+    refit_strong: float = decided_by(
         4.0,
         "noise",
-        "from this RMSE on derivatives at the refitted model predict little: the nominal one is screened at too",
+        "from this RMSE on derivatives at the refitted model predict little: the nominal one is screened at too, and "
+        "where minima are many all candidates are fitted, if none of the promising ones is accepted",
         "calibration",
         PROOFS,
+        where="fitting",
     )
-    absorbed: float = _decides(
+    absorbed: float = decided_by(
         20.0,
         "",
         "a change of which free parameters undo all but one part in so many is looked at with them moved along",
         "calibration",
         PROOFS,
+        where="screening",
     )
-    covered: float = _decides(
+    covered: float = decided_by(
         0.9,
         "of the bounds",
         "an effect is not named where the interval of a parameter covers so much of what the parameter can be",
         "convention",
         "such an interval says nothing: of an even spread over the bounds, 95 % would cover 0.95 of them",
+        where="findings",
     )
-    worse: float = _decides(
+    worse: float = decided_by(
         0.1,
         "of χ²",
         "an effect is rejected where the first or second half of a kind of held-out trials gets worse by more than "
         "this share of what the refitted model leaves",
         "convention",
         "5 % of the error: residuals of real robots differ by so much without any reason to prefer one model",
+        where="confirmation",
     )
-    failed: float = _decides(
+    worse_by_chance: float = decided_by(
+        1.64,
+        "standard deviations",
+        "and by more than so many of what it would get worse by chance",
+        "theory",
+        "5 % of a normal distribution; χ² of two models that are as good differs by 2·√(χ² of their difference)",
+        where="confirmation",
+    )
+    failed: float = decided_by(
         10.0,
         "",
         "a fit whose error on validation trials is so many times that on the fitted ones failed; it names nothing",
         "convention",
         "what was fitted says nothing of other trials then",
+        where="stages",
     )
     watch: Callable[[Callable[[Thresholds], bool], bool], None] | None = field(default=None, compare=False, repr=False)
     """Called with every decision and its outcome, to vary the thresholds."""
@@ -347,21 +417,27 @@ class Thresholds:
 
 @dataclass(frozen=True)
 class SearchSettings:
-    """How much a search looks at. None of these numbers accepts anything: more of each takes longer and misses less.
+    """How much a search looks at. Of the numbers that only say what is fitted, more takes longer and misses less.
+
+    Four say more. ``most_parts`` bounds the answer. ``patience`` ends a search. ``unconfirmed`` is how many hypotheses
+    may try held-out trials, and each may be confirmed by chance. ``many_minima`` adds ``Thresholds.minima_scatter`` to
+    what an effect has to gain.
 
     Attributes:
         most_parts: largest number of effects in a hypothesis.
         rounds_per_part: rounds for each of them, at most: each adds a part, and may drop another beside it.
         tried: candidates fitted at each step, for each whitening of the residuals.
         tried_in_place: the same of candidates that are to take a part's place.
-        kept: of them, how many are fitted until converged, where fits have few minima others too that still gain,
-        kept_share: where they lack less than this share of the best one's gain in −2 ln L,
-        kept_gain: and this much.
-        rival_share: in the place of a part, only what lacks less than this share of its gain is fitted until converged.
+        kept: of them, how many are fitted until converged, if they are close to the best one, see ``kept_share``. Where
+            fits have few minima others too that are as close and still gain.
+        kept_share: close is what lacks at most this share of the best one's gain in −2 ln L, and ``kept_gain`` more.
+        kept_gain: see ``kept_share`` [−2Δln L].
+        rival_share: in the place of a part, only what lacks at most this share of its gain, and ``kept_gain`` more, is
+            fitted until converged.
         optimism: beside other parts, fits gain at most so many times what is expected to first order, and converged
             fits so many times what quick ones gain: what then gains less than the best one, or than the acceptance
-            threshold, is not fitted further. Gains to first order
-            were exceeded up to 1.7 times on the real leg's recordings.
+            threshold, is not fitted further. Gains to first order were exceeded up to 1.7 times on the real leg's
+            recordings.
         coarse_steps: iterations of a first fit.
         long_steps: iterations of the next fit, of the few that are best by then.
         runners_up: so many others than the best first part, of those with about as much gain, are given a second too.
@@ -371,11 +447,10 @@ class SearchSettings:
         unconfirmed: hypotheses tried in the place of one that held-out trials do not confirm.
         again: how often a search goes on beside the accepted effects where residual forces made others redundant. If
             it comes to such effects again, the residuals stay unexplained.
-        patience: how many effects in a row may explain far less than a residual force: of two missing effects each
-            alone may.
-        many_minima: whether fits have many local minima because errors grow along a trial. First-order gains then
-            predict little. So all candidates are tried where the promising ones are not accepted and residuals are
-            large, and a part's alternatives are taken from all hypotheses fitted.
+        patience: how many effects in a row may explain far less than a residual force before the search ends: of two
+            missing effects each alone may.
+        many_minima: whether fits have many local minima because errors grow along a trial. Deviances then scatter, and
+            first-order gains predict little; ``search`` has all that differs.
     """
 
     most_parts: int = 4
@@ -401,7 +476,7 @@ class SearchSettings:
 
 @dataclass(frozen=True)
 class SearchPolicy:
-    """What a diagnosis does beside the user's settings.
+    """How a diagnosis of a robot on an engine fits and searches, beside the user's settings.
 
     Attributes:
         coarse_derivatives: quick fits take derivatives from the coarser engine and end at small gains, for a
@@ -427,4 +502,5 @@ class SearchPolicy:
 
 
 PATIENCE = 1
-"""Where fits have many local minima, see ``SearchSettings``: forces at joints do much alike there, and rub."""
+"""``SearchSettings.patience`` where fits have many local minima: several friction laws explain much the same residuals
+there, so a residual force may outdo one of them that the next round makes right."""

@@ -42,7 +42,18 @@ LEAST_ROWS = 30
 """Fewer independent samples show no correlation."""
 BEYOND = 0.25
 """Share of a joint's range by which most samples have to lie beyond its end."""
+MOST_OUTSIDE = 0.5
+"""Share of the samples that most are, where they lie beyond a range,"""
+MOST_INSIDE = 0.9
+"""and where another unit would put them within it: then it is the unit."""
+WHOLE_TURNS = 2
+"""Turns beyond which an angle of a joint with a range is not one in radians."""
+RANGE_OF_DEGREES = 7.0
+"""A range below so many degrees is one of radians that were taken for degrees [°]: 2π is 6.3."""
+LONG_ENOUGH = 8
+"""Widths of test functions that a recording has to last, to be looked at with these."""
 DEGREE = math.pi / 180
+"""[rad]"""
 COARSE = 2.0
 """Steps of so many standard deviations of the noise by second differences are most of it: evenly spread errors alone
 are of 0.29 steps."""
@@ -126,13 +137,13 @@ def _check_angles(robot: Robot, recordings: Sequence[Recording]) -> None:
         column, unit = positions[:, j], "m" if robot.slides(name) else "rad"
         between = f"{low[j]:.3g} to {high[j]:.3g} {unit}"
         outside = float(np.mean((column < low[j] - BEYOND * span) | (column > high[j] + BEYOND * span)))
-        if outside < 0.5:
+        if outside < MOST_OUTSIDE:
             continue
         seen = f"{name} goes from {column.min():.4g} to {column.max():.4g} {unit}, but the model's range is {between}"
         covers = _inside(column * DEGREE, low[j], high[j])
-        if unit == "rad" and np.abs(column).max() > 4 * math.pi and covers:
+        if unit == "rad" and np.abs(column).max() > WHOLE_TURNS * 2 * math.pi and covers:
             raise ConfigError(f"{seen}; are the recorded angles in degrees? They are expected in rad")
-        if unit == "rad" and _inside(column, low[j] / DEGREE, high[j] / DEGREE) and span < 7 * DEGREE:
+        if unit == "rad" and _inside(column, low[j] / DEGREE, high[j] / DEGREE) and span < RANGE_OF_DEGREES * DEGREE:
             raise ConfigError(
                 f"{seen}; are the XML's angles in rad? MuJoCo takes them for degrees where the file does not say "
                 '<compiler angle="radian"/>'
@@ -146,7 +157,7 @@ def _check_angles(robot: Robot, recordings: Sequence[Recording]) -> None:
 def _inside(values: Array, low: float, high: float) -> bool:
     """Whether most values lie about within a range."""
     way = BEYOND * (high - low)
-    return bool(np.mean((values > low - way) & (values < high + way)) > 0.9)
+    return bool(np.mean((values > low - way) & (values < high + way)) > MOST_INSIDE)
 
 
 def _check_forces(model: Model, robot: MjcfRobot, recordings: Sequence[Recording]) -> None:
@@ -263,7 +274,7 @@ def _measured(
         for m, r in zip(motions, recordings, strict=False)
     ]
     for width in WIDTHS:
-        long = [k for k, m in enumerate(motions) if len(m.time) > 8 * width]
+        long = [k for k, m in enumerate(motions) if len(m.time) > LONG_ENOUGH * width]
         if not long:
             break
         at = inverse_dynamics(model, [motions[k] for k in long], width)
@@ -282,7 +293,7 @@ def _forces(model: Model, recordings: Sequence[Recording], widths: Sequence[int]
     best, found = -math.inf, (np.empty((0, 0)), np.empty((0, 0)), widths[0])
     motions = measured_motions(model, recordings)
     for width in widths:
-        long = [m for m in motions if len(m.time) > 8 * width]
+        long = [m for m in motions if len(m.time) > LONG_ENOUGH * width]
         if not long:
             break
         at = inverse_dynamics(model, long, width)

@@ -25,12 +25,14 @@ from equimus_ctrl.types import Array
 SLOWEST, FASTEST = 0.2, 4.0
 """Frequencies of a disturbance in time that are looked for [Hz]: slower ones a spline over time follows, faster ones
 move a free joint by less than 1/400 of what the slowest does (it falls with the square of the frequency)."""
+PERIOD_SAMPLES = 5
+"""Samples in a period of the fastest, at least."""
 LONGEST = 12.0
 """Frequencies are twice as close together as a recording of so long tells apart, at most [s]."""
 FOLDS = 3
 """Of the cross-validation: of four trials three are fitted, and each of them can judge once."""
 BOUND = 1e9
-"""Responses [rad] above this, to a force of size 1, are those of an instability."""
+"""Responses [rad or m] above this, to a force of 1 N·m or N, are those of an instability."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,7 +61,8 @@ class LinearisedFit:
             these are not cut; none where there is one alone.
         noise: by which they are whitened.
         motions: of the fitted model, trial by trial.
-        price: of each coefficient of a residual force, in units of χ², where there are no folds.
+        price: of each coefficient of a residual force, in units of χ², where there are no folds, see
+            ``Thresholds.residual_price_alone``.
     """
 
     fitted: Fitted
@@ -73,7 +76,14 @@ class LinearisedFit:
 
 
 def linearise_fit(data: Data, fitted: Fitted, noise: Noise, dt: float = STEP) -> LinearisedFit | None:
-    """The linear model about a fit; None where its motion cannot be followed."""
+    """The linear model about a fit; None where its motion cannot be followed.
+
+    Args:
+        data: what was measured.
+        fitted: the hypothesis.
+        noise: by which residual, derivatives and answers to forces are whitened.
+        dt: physics step of motions that equations are linearised along [s].
+    """
     model = fitted.fit.model
     whitened_fit = whiten_fit(data.times, fitted.fit, noise)
 
@@ -110,17 +120,20 @@ def linearise_fit(data: Data, fitted: Fitted, noise: Noise, dt: float = STEP) ->
 
 
 def frequencies(motions: Sequence[Motion]) -> list[float]:
-    """Frequencies of disturbances in time that are looked for [Hz].
+    """Frequencies of disturbances in time that are looked for [Hz], 1/(2·T) apart, T the longest recording.
 
-    The longest recording holds one period of the slowest; samples are at most a fifth of a period of the fastest apart.
+    That holds one period of the slowest; the fastest has ``PERIOD_SAMPLES`` samples in a period.
     """
     longest = min(max(m.time[-1] - m.start for m in motions), LONGEST)
-    top = min(FASTEST, 0.2 / float(np.median(np.diff(motions[0].time))))
+    top = min(FASTEST, 1 / PERIOD_SAMPLES / float(np.median(np.diff(motions[0].time))))
     return [float(f) for f in np.arange(max(SLOWEST, 1.0 / longest), top, 0.5 / longest)]
 
 
 def discard_unstable(answers: Sequence[Array]) -> list[Array]:
-    """For each trial (m, nj, k) responses to forces, 0 for those that grew without bound along an unstable motion."""
+    """For each trial (m, nj, k) responses to k forces of 1 N·m or N, 0 for those that grew without bound [rad or m].
+
+    They do so along an unstable motion. A force is dropped for all trials where it is for one.
+    """
     bounded = np.all([(np.abs(a) < BOUND).all(axis=(0, 1)) for a in answers], axis=0)
     return list(answers) if bounded.all() else [np.where(bounded, a, 0.0) for a in answers]
 
@@ -130,7 +143,7 @@ def force_candidates(at: LinearisedFit, extra: Array | None = None) -> list[Forc
 
     Args:
         at: the linear model.
-        extra: (N, k) columns that are free as well.
+        extra: (N, k) whitened columns that are free as well.
     """
     slopes = at.whitened_fit.slopes if extra is None else np.column_stack([at.whitened_fit.slopes, extra])
     beside = Nuisance.of(slopes)

@@ -1,7 +1,7 @@
 """Which set of effects: forward from the refitted model, backward where one is not needed, sideways where another fits.
 
 A hypothesis is scored by its deviance (−2 log likelihood, its own noise included) and its number of parameters. A part
-is accepted where the deviance falls by more than the acceptance threshold, see ``HypothesisMoves.threshold``.
+is accepted where the deviance falls by more than the acceptance threshold, see ``Scoring.threshold``.
 
 The moves:
 
@@ -34,9 +34,12 @@ first-order gains predict little. What differs:
     rounds outdone by a residual force  none                          one (``PATIENCE``)
     the model without effects           fitted once                   refitted from the first effect's fit
     after each addition                 exchanged, from two parts on  the same, then pruned and simplified
-    at the end                          contested, then fewer places  neither
+    at the end                          contested, narrowed, united   united
     what else fits in a part's place    fitted beside the other parts also what did beside any others (``in_place``)
-    what held-out trials do not confirm is dropped                    exchanged for another hypothesis fitted, if any
+    what held-out trials do not confirm is dropped; the only part is  exchanged for another hypothesis fitted, if one
+                                        exchanged for one that fits   is confirmed; else the same
+                                        as well, if it is confirmed
+    a law richer than they confirm      stays                         a simpler one takes its place
 """
 
 from __future__ import annotations

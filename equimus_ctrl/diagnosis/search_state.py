@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Hashable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Literal
 
 from equimus_ctrl.diagnosis.fitting import Fitted
 from equimus_ctrl.diagnosis.hypothesis import Candidate, Hypothesis, Part
+from equimus_ctrl.diagnosis.policy import Thresholds
 from equimus_ctrl.diagnosis.screening import Screened
 from equimus_ctrl.identification.fit import Begin
 
@@ -26,6 +27,13 @@ StopReason = Literal[
 
 Law = tuple[str, frozenset[str]]
 """An effect and places: where it has the same parameters at several, all of them."""
+RivalDeviance = Callable[[Thresholds], float]
+"""Deviance that extensions have to come near to, for what they are compared with is listed by some thresholds."""
+
+
+def no_rival(t: Thresholds) -> float:
+    """Of extensions that are compared with nothing."""
+    return math.inf
 
 
 def laws_of(candidate: Candidate) -> frozenset[Law]:
@@ -41,12 +49,12 @@ class Extended:
     Attributes:
         base: the fit that was extended.
         options: hypotheses with one more part, fitted.
-        rival: deviance of the hypothesis that the options were measured against; inf without one.
+        rival: deviance that the options had to come near to, by some thresholds; inf without one.
     """
 
     base: Fitted
     options: tuple[Fitted, ...]
-    rival: float = math.inf
+    rival: RivalDeviance = no_rival
 
 
 @dataclass(frozen=True, eq=False)

@@ -25,7 +25,7 @@ from functools import cached_property
 import numpy as np
 
 from equimus_ctrl.diagnosis.hypothesis import default_free_parameters
-from equimus_ctrl.diagnosis.preflight import UNIT, measured_motions
+from equimus_ctrl.diagnosis.preflight import LONG_ENOUGH, UNIT, measured_motions
 from equimus_ctrl.engines.mjcf_inverse import InverseDynamics, MeasuredMotion, inverse_dynamics
 from equimus_ctrl.identification.parameters import FreeParameters
 from equimus_ctrl.models.model import Model
@@ -163,7 +163,7 @@ def _shown(
     """What the joint of each servo shows, at each width of test functions."""
     found: dict[tuple[str, int], _Rows] = {}
     for width in WIDTHS:
-        long = [m for m in motions if len(m.time) > 8 * width]
+        long = [m for m in motions if len(m.time) > LONG_ENOUGH * width]
         if not long:
             break
         at = inverse_dynamics(model, long, width)

@@ -44,13 +44,13 @@ from equimus_ctrl.errors import SimulationDiverged
 from equimus_ctrl.identification.parameters import place_unit
 from equimus_ctrl.types import Array
 
-ASKED = 0.05
-"""Simulated is what chance would explain in the torque domain with at most this probability, over all that is asked. It
-decides nothing."""
 WIDER = (1, 2)
-"""Widths of the test functions at which that is asked, over that of the search: wide ones see slow forces better."""
+"""Widths of the test functions at which the torque domain is asked, over that of the search: wide ones see slow forces
+better."""
 POINTS = 61
+"""At which the curve of a force is given."""
 CONFIDENT = 1.96
+"""Standard errors of its 95 % interval, by the normal distribution."""
 
 
 @dataclass(frozen=True)
@@ -90,6 +90,7 @@ def analysed(search: Search, state: SearchState, split: Split, before: Sequence[
     """The analysis of the residuals that a search's end leaves, with smooth forces beside its laws.
 
     Where robots are held in place, residual forces say as much to first order. Where the budget ends, what they say.
+    A law that a smooth force makes redundant is rejected at the force's joint.
 
     Args:
         search: that ended.
@@ -98,7 +99,7 @@ def analysed(search: Search, state: SearchState, split: Split, before: Sequence[
         before: what was left beside laws of which some were rejected: its joints are asked again, with or without
             other laws, where no force is found at them to first order.
     """
-    own = _borne_out(search, state.best, residual_analysis(search.data, state.base, state.best, state.without))
+    own = _shown_in_torques(search, state.best, residual_analysis(search.data, state.base, state.best, state.without))
     also = _places(before) - _places(own.unexplained)
     if own.redundant or not (state.best.hypothesis or also) or search.data.free.model.robot.traits.held_in_place:
         return own
@@ -120,12 +121,12 @@ def analysed(search: Search, state: SearchState, split: Split, before: Sequence[
     )
 
 
-def _borne_out(search: Search, best: Fitted, analysis: ResidualAnalysis) -> ResidualAnalysis:
+def _shown_in_torques(search: Search, best: Fitted, analysis: ResidualAnalysis) -> ResidualAnalysis:
     """The same without laws that a force would generalise of which the torque domain shows too little.
 
-    There the speed times a function of the angle has to explain that share of what the law does from which on
-    hypotheses are distinguished, as residual forces have to. Residuals are weighed by coloured noise, which slow forces
-    resemble; the torque domain weighs them as they are.
+    There the speed times a function of the angle has to explain ``Thresholds.generalised_share`` of what the law does,
+    as residual forces have to. Residuals are weighed by coloured noise, which slow forces resemble; the torque domain
+    weighs them as they are.
     """
     asked = {k for k, reason in analysis.redundant.items() if reason == GENERALISED}
     if not asked or (domain := search.torque_domain) is None:
@@ -143,7 +144,7 @@ def _borne_out(search: Search, best: Fitted, analysis: ResidualAnalysis) -> Resi
 
 
 def _too_little(share: float, t: Thresholds) -> bool:
-    return share < t.indistinguishable_share
+    return share < t.generalised_share
 
 
 def analysed_without(search: Search, state: SearchState, split: Split, beside: ResidualAnalysis) -> ResidualAnalysis:
@@ -172,6 +173,10 @@ def without_redundant(
         search: that ended.
         state: the end.
         analysis: of what it leaves.
+
+    Raises:
+        BudgetSpent: where the budget ends.
+        SimulationDiverged: where what is left diverges.
     """
     rejected = analysis.rejected(state.best.hypothesis)
     state = without_parts(search, state, tuple(analysis.redundant), analysis.fewer)
@@ -201,14 +206,17 @@ def _together(known: Sequence[Unexplained], smooth: Sequence[ResidualForce]) -> 
 def beside(search: Search, state: SearchState, split: Split, also: Collection[str] = ()) -> tuple[SmoothLaw, ...]:
     """The smooth forces that the best hypothesis leaves unexplained, of each joint the one that gains most.
 
-    A force counts where its gain exceeds the acceptance threshold and more than a trace of what the hypothesis
-    explains, and where validation trials confirm it.
+    A force counts where its gain exceeds the acceptance threshold and more than ``Thresholds.smooth_trace`` of what
+    the hypothesis and it explain, and where validation trials confirm it.
 
     Args:
         search: that ended.
         state: the end.
         split: with the validation trials.
         also: joints that are asked though the hypothesis may have no law there.
+
+    Raises:
+        BudgetSpent: where the budget ends.
     """
     best = state.best
     whole = state.base.deviance - best.deviance
@@ -225,7 +233,7 @@ def beside(search: Search, state: SearchState, split: Split, also: Collection[st
     return tuple(
         law
         for law in found.values()
-        if not split.validation or confirms(search, carried_over(search, holdout, best, law.fitted).ratio)
+        if not split.validation or confirms(search, carried_over(search, holdout, best, law.fitted))
     )
 
 
@@ -236,10 +244,15 @@ def _but_a_trace(gain: float, whole: float, t: Thresholds) -> bool:
 def redundant(search: Search, state: SearchState, laws: Sequence[SmoothLaw]) -> dict[tuple[int, str], SmoothLaw]:
     """Friction laws, by place and joint, that a smooth force at this joint shows not to be the right ones; that force.
 
-    A law that the force could not draw by itself is none where it explains nothing more beside the force. One that it
-    could, viscous friction where the force is the speed times a function of the angle, is another law where that
-    function without it is no constant. Other parts stay: what is left is then another thing. So do the other joints of
-    a law with a size of its own at each.
+    A law that the force could not draw by itself is none where it explains nothing more beside the force. With f the
+    law's force at the instants measured, and B what the smooth force can be, it could draw it where ‖f − B b‖²/‖f‖² is
+    below ``Thresholds.drawn`` at the best b. A law that it could draw, viscous friction where the force is the speed
+    times a function of the angle, is another one where that function is no constant: with s the smooth force fitted
+    without the law, ‖s − c·f‖²/‖s‖² is above ``Thresholds.no_constant`` at the best c. Other parts stay: what is left
+    is then another thing. So do the other joints of a law with a size of its own at each.
+
+    Raises:
+        BudgetSpent: where the budget ends.
     """
     found: dict[tuple[int, str], SmoothLaw] = {}
     for law in laws:
@@ -358,8 +371,13 @@ def _asked_for(search: Search, best: Fitted, also: Collection[str]) -> Iterator[
             wider = replace(domain, width=times * domain.width)
             for own, fit in torque_screen(data, wider, best, [candidate for *_, candidate in every]).alone().items():
                 gains[own] = max(gains.get(own, 0.0), fit.gain / CORRELATED)
-    least = float(chdtri(len(SmoothForce.neutral), ASKED / max(len(every), 1)))
-    yield from (one for one in every if gains.get(one[-1], math.inf) > least)
+    for one in every:
+        if data.thresholds.decides(partial(_worth_asking, gains.get(one[-1], math.inf), len(every))):
+            yield one
+
+
+def _worth_asking(gain: float, count: int, t: Thresholds) -> bool:
+    return gain > float(chdtri(len(SmoothForce.neutral), t.smooth_asked / max(count, 1)))
 
 
 def _candidate(joint: str, shape: Shape, excitation: Excitation) -> Candidate:

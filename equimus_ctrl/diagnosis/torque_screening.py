@@ -5,14 +5,16 @@ mjcf_inverse``). That is linear in the inertial parameters and in the size of mo
 simulation of every candidate takes minutes: the inverse dynamic identification model, IDIM (Gautier, 1997; Janot,
 Vandanjon & Gautier, "A generic instrumental variable approach for industrial robot identification", 2014). Measured
 angles stand in the regressors, so estimates are biased by their noise, the more the smaller a motion is (errors in
-variables). It therefore decides nothing: it says where fits begin, and what is so far behind that it is not simulated.
+variables). So no law is accepted by it: it says where fits begin, and what is so far behind that it is not simulated.
+It can reject one that simulation has found, see ``torque_agreement``, and says which smooth forces are worth
+simulating beside the laws that were named, see ``smooth_laws``.
 
 With r the missing forces, J what the parameters to estimate add to them, C_k what candidate k adds, all divided by the
 standard deviation of each joint's remaining forces,
 
     min ‖r − J δ − Σ C_k c_k‖² + ‖(θ + δ − θ₀)/s‖²
 
-s is half the way between a parameter's bounds: it is known to be within these. Gains of drives are held, see
+s is half the way between a parameter's bounds, see ``KNOWN_WITHIN``. Gains of drives are held, see
 ``torque_columns.DRIVE_GAINS``. All sums of squares are of one Gram matrix, so that any set of candidates costs a few
 small factorisations. What unknown zeros of the sensors can do to the forces is projected out of r, J and C before.
 """
@@ -46,9 +48,16 @@ CROSSES = 0.3
 """Longest width, as a share of the time in which the fastest joint crosses its range: a spline four widths long then
 spans about one crossing."""
 CORRELATED = 1.5
-"""So many test functions a width apart are worth one independent sample: cubic B-splines overlap."""
+"""So many test functions a width apart are worth one independent sample, for cubic B-splines overlap. χ² divided by it
+is compared with the quantiles and thresholds of independent samples."""
 WEAK = 1e-10
 """Directions of columns below this share of the strongest count as none."""
+LEAST_SHARE, LEAST_WIDTHS = 0.5, 10
+"""Recordings shorter than this share of the longest, or than so many widths of the narrowest test functions, are left
+out: one width is chosen for all, and a short recording says little at it."""
+KNOWN_WITHIN = 0.5
+"""Standard deviation of what is known of a parameter before, as a share of the way between its bounds: it is known to
+be within these."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,8 +65,8 @@ class TorqueFit:
     """What a candidate explains of the missing forces.
 
     Attributes:
-        gain: fall of χ².
-        values: of its parameters, by least squares within bounds.
+        gain: fall of χ², to be divided by ``CORRELATED``.
+        values: of its parameters, by least squares within bounds [unit of each].
     """
 
     gain: float
@@ -214,7 +223,15 @@ class TorqueDomain:
 def torque_domain(data: Data, pool: Sequence[Candidate]) -> TorqueDomain | None:
     """The torque domain of some recordings; None where a robot has none, or they are too short.
 
-    Recordings shorter than half the longest are left out.
+    Left out are recordings shorter than ``LEAST_SHARE`` of the longest, or than ``LEAST_WIDTHS`` of the narrowest test
+    functions.
+
+    Args:
+        data: what was measured.
+        pool: candidates, of which the usual laws tell how wide test functions are to be.
+
+    Raises:
+        BudgetSpent: where the budget ends.
     """
     if not data.free.model.robot.has_torque_domain:
         return None
@@ -222,7 +239,7 @@ def torque_domain(data: Data, pool: Sequence[Candidate]) -> TorqueDomain | None:
     trials, measured, zeros = zip(*((s.trial, s.measured, s.zeros) for s in data.segments), strict=True)
     motions = motions_of(trials, measured, noise, zeros)
     longest = max(len(m.time) for m in motions)
-    motions = [m for m in motions if len(m.time) > max(longest / 2, 10 * WIDTHS[0])]
+    motions = [m for m in motions if len(m.time) > max(longest * LEAST_SHARE, LEAST_WIDTHS * WIDTHS[0])]
     if not motions:
         return None
     usual = usual_laws(pool)
@@ -238,6 +255,9 @@ def torque_screen(data: Data, domain: TorqueDomain, fitted: Fitted | None, pool:
         domain: the same in the torque domain.
         fitted: the hypothesis; the nominal model by default.
         pool: the candidates.
+
+    Raises:
+        BudgetSpent: where the budget ends.
     """
     free = data.free if fitted is None else fitted.fit.parameters
     theta = free.start if fitted is None else fitted.fit.theta
@@ -247,7 +267,18 @@ def torque_screen(data: Data, domain: TorqueDomain, fitted: Fitted | None, pool:
 def screened_at(
     free: FreeParameters, theta: Array, data: Data, domain: TorqueDomain, pool: Sequence[Candidate]
 ) -> TorqueScreen:
-    """What candidates explain of the missing forces of a model with these parameters."""
+    """What candidates explain of the missing forces of a model with these parameters.
+
+    Args:
+        free: the parameters that are estimated beside, those of effects after the model's own.
+        theta: (p,) where they are [unit of each].
+        data: what was measured, with the model's own parameters.
+        domain: the same in the torque domain.
+        pool: the candidates.
+
+    Raises:
+        BudgetSpent: where the budget ends.
+    """
     return _screen(free, theta, data.free, domain, pool, data.budget.check)
 
 
@@ -284,7 +315,7 @@ def _screen(
     scaled = (columns / sigma[:, None]).reshape(-1, columns.shape[2])
     gram = scaled.T @ scaled
     known = np.arange(p) < len(own_free.free)
-    prior = np.where(known, 4.0 / (free.high - free.low) ** 2, 0.0)
+    prior = np.where(known, KNOWN_WITHIN**-2 / (free.high - free.low) ** 2, 0.0)
     away = np.append(own_free.start, theta[len(own_free.free) :]) - theta
     gram[range(p), range(p)] += prior
     gram[:p, -1] += prior * away

@@ -1,7 +1,8 @@
 """Where a search begins, and what it does not simulate, by what candidates explain in the torque domain.
 
 Friction in all joints hides each joint's own: one law after the other, none would be found. Least squares over all
-joints find them together, see ``torque_screening``. What is said here decides nothing: simulation has to accept it.
+joints find them together, see ``torque_screening``. No law is accepted here: simulation has to accept it. What is left
+out of a round is asked for again beside what that round finds, and missed where it finds nothing.
 """
 
 from __future__ import annotations
@@ -23,8 +24,8 @@ from equimus_ctrl.robots.base import Robot
 from equimus_ctrl.types import Array
 
 START_SHARE = 0.1
-"""A law that a search begins with lowers what is missing above the noise by this share at least. It saves rounds and
-decides nothing: a law left out is found later, one too many is not accepted by simulation."""
+"""A law that a search begins with lowers what is missing above the noise by this share at least. It saves rounds: a law
+left out is found later, one too many is not accepted by simulation."""
 ABOUT = 0.9
 """A search begins with the simplest law that gains this share of what the best one does: measured angles bias gains in
 the torque domain by a few per cent. Richer laws are tried in its place by simulation."""
@@ -32,7 +33,7 @@ BEHIND = 0.05
 """Candidates that explain less than this share of what the best one does are not simulated in this round,"""
 AT_LEAST = 12
 """unless they are among so many best ones. Both save time: where the best one is accepted, the rest is looked at beside
-it, and where nothing of what is promising is accepted all are."""
+it."""
 SURE = 3.0
 """Standard errors by which a law's own size at a place has to differ from nothing, for a search to begin with it: on
 noise one place in 370 does."""

@@ -36,7 +36,9 @@ UNTOLD = 1e-4
 REFIT = 12
 """Steps of a fit to everything, what was held out too."""
 POINTS = 61
+"""At which the curve of a force is given."""
 CONFIDENT = 1.96
+"""Standard errors of its 95 % interval, by the normal distribution."""
 REPRODUCED = "one residual force explains as much as all effects together"
 CONFOUNDED = "it explains nothing more beside a residual force"
 REPLACED = "a residual force in its place explains as much"
@@ -89,6 +91,8 @@ class ResidualAnalysis:
 def residual_analysis(data: Data, base: Fitted, best: Fitted, without: Sequence[Fitted]) -> ResidualAnalysis:
     """Find residual forces in the residuals of a fitted hypothesis, and parts that these make redundant.
 
+    Nothing is found where the motion of the hypothesis cannot be followed.
+
     Args:
         data: what was measured.
         base: the model without any hypothesis.
@@ -117,6 +121,10 @@ def residual_analysis(data: Data, base: Fitted, best: Fitted, without: Sequence[
 def select_forces(data: Data, at: LinearisedFit, together: float) -> list[SelectedForce]:
     """The residual forces that count, by forward selection: each the best beside those before it.
 
+    The f-th lets χ² fall in cross-validation by most of all beside the columns of those before, see
+    ``residual_force.judged``. It counts where that is max(``residual_gain``, ``simulation_error``·n) at least, and its
+    gain at least ``trace`` of all that the effects and the forces up to it explain; the first that does not ends it.
+
     Args:
         data: what was measured.
         at: the hypothesis to first order.
@@ -141,7 +149,9 @@ def redundant_parts(
 
     A part is confounded with a force beside which it explains nothing more; or a force in its place explains as much
     as the part and the strongest remaining force together; or, where forces remain, it strains its law; or one
-    says that its law is another, see ``_generalised``.
+    says that its law is another, see ``_generalised``. With F the fall of χ² by a part, fitted, and g the gain of the
+    strongest remaining force, a force replaces the part whose own gain is more than ``replaces_one``·(F + g); one that
+    depends on more than the part's law has to gain ``replaces_restated`` of that.
 
     Args:
         data: what was measured.
@@ -172,8 +182,8 @@ def _generalised(data: Data, best: Fitted, falls: Sequence[float], force: Select
     """Places of parts whose law a remaining force at their place would have depend on more.
 
     Friction that grows with the speed, and a force left at its joint that is the speed times a function of the angle:
-    then the friction depends on the angle, which is another law. It is told where that force gains more than the share
-    of the part's own gain from which on hypotheses are distinguished.
+    then the friction depends on the angle, which is another law. It is told where that force gains more than
+    ``Thresholds.generalised_share`` of the part's own gain.
     """
     if data.free.model.robot.traits.forces_along_actuators:
         return []
@@ -181,12 +191,12 @@ def _generalised(data: Data, best: Fitted, falls: Sequence[float], force: Select
         k
         for k, (part, fall) in enumerate(zip(best.hypothesis, falls, strict=True))
         if generalises(force.candidate.family, part)
-        and data.thresholds.decides(partial(_distinguished, force.gain, fall))
+        and data.thresholds.decides(partial(_another_law, force.gain, fall))
     ]
 
 
-def _distinguished(gain: float, fall: float, t: Thresholds) -> bool:
-    return gain > t.indistinguishable_share * fall
+def _another_law(gain: float, fall: float, t: Thresholds) -> bool:
+    return gain > t.generalised_share * fall
 
 
 def _least(n: int, t: Thresholds) -> float:
@@ -210,7 +220,10 @@ def not_confirmed(
         data: what was fitted.
         best: the hypothesis.
         validation: what was not.
-        residuals: for each of these (m, nj) what the hypothesis leaves there [rad or m].
+        residuals: for each of these (m, nj + ne) what it leaves there, of joints [rad or m] and channels [own unit].
+
+    Raises:
+        BudgetSpent: where the budget ends.
     """
     if not validation or not _far_above_noise(data, best, residuals):
         return ResidualAnalysis()
@@ -233,7 +246,7 @@ def not_on_test(data: Data, best: Fitted, test: Sequence[Segment], residuals: Se
         data: what was fitted.
         best: the hypothesis.
         test: what took no part.
-        residuals: for each of these (m, nj) what the hypothesis leaves there [rad or m].
+        residuals: for each of these (m, nj + ne) what it leaves there, of joints [rad or m] and channels [own unit].
     """
     if not test or not _far_above_noise(data, best, residuals):
         return ResidualAnalysis()

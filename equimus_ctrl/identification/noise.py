@@ -26,25 +26,38 @@ LONGEST = 0.12
 """Longest correlation that counts as noise [s]; what lasts longer is motion that the model ought to give."""
 SHORTEST = 2e-3
 """Shortest; at the rates of motion capture it is as good as white [s]."""
-LAGS = (LONGEST / 4, LONGEST / 2, LONGEST)
-"""Over these, second differences bound noise [s]. Shorter ones would see more, but noise of measurements that were
-low-passed is smooth: of a Butterworth filter of second order at 6 Hz, run both ways, as motion capture has it, the
-shortest gives 0.37 of the true variance, half of it 0.07."""
+LAGS = (0.25, 0.5, 1.0)
+"""Over these shares of the longest correlation second differences bound noise. Shorter ones would see more, but noise
+of measurements that were low-passed is smooth: of a Butterworth filter of second order at 6 Hz, run both ways, as
+motion capture has it, the shortest gives 0.37 of the true variance, half of it 0.07."""
 LEAST = 1e-7
-"""Least noise [rad]: a simulation's recording may have none."""
+"""Least noise [rad, m or a channel's own unit]: a simulation's recording may have none."""
 SAME = 1e-9
 """Of the largest value: nearer values are the same but for rounding."""
 LEAST_STEPS = 10
-"""Fewer different values say nothing of a step."""
+"""Fewer differences of values say nothing of a step."""
+SMALL_DIFFERENCES = 0.1
+"""Share of the differences between neighbouring values that are smaller than the one which is about one step."""
+ONE_STEP = 1.5
+"""Differences below so many times that one are of one step; their median is the step."""
+OFF_STEP = 0.05
+"""A difference is a whole multiple of the step up to this share of it."""
+WHOLE_STEPS = 0.95
+"""Share of the differences that have to be whole multiples: a few are of values that were filtered or joined."""
+GUESSED_SHARES, GUESSED_TIMES = (0.1, 0.5, 0.95), (0.01, 0.03)
+"""Coloured shares of the variance, and correlation times [s] beside the longest: the search for the most likely noise
+begins at the best of these."""
+TOLERANCES = {"xatol": 1e-3, "fatol": 1e-7, "maxiter": 120}
+"""Of that search, in the share and ln τ, in −2 ln L for each sample, and in steps."""
 
 
 @dataclass(frozen=True)
 class JointNoise:
-    """Of one joint.
+    """Noise of one joint, or of another channel that was measured.
 
     Attributes:
-        white: standard deviation of the white part [rad].
-        coloured: of the correlated part [rad].
+        white: standard deviation of the white part [rad, m or the channel's own unit].
+        coloured: of the correlated part [same].
         time: correlation time of that [s].
     """
 
@@ -54,12 +67,12 @@ class JointNoise:
 
     @property
     def sigma(self) -> float:
-        """Standard deviation of both together [rad]."""
+        """Standard deviation of both together [rad, m or the channel's own unit]."""
         return math.hypot(self.white, self.coloured)
 
 
 Noise = tuple[JointNoise, ...]
-"""Of every joint."""
+"""Of every joint, and of every other channel after them."""
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -89,10 +102,13 @@ def _innovations(time: Array, rows: Array, white: float, coloured: float, tau: f
 def whiten(noise: Noise, time: Array, values: Array) -> Array:
     """The innovations of series whose noise is that of the joints, in units of their standard deviations.
 
+    With e = y − ĉ, ĉ what a Kalman filter predicts of c, and S the variance of e, they are e/√S: white, of unit
+    variance, where the noise is as it is said.
+
     Args:
-        noise: of every joint.
+        noise: of every joint and other channel.
         time: (m,) sample times [s].
-        values: (m, nj, ...) residuals or derivatives of predictions.
+        values: (m, nj + ne, ...) residuals or derivatives of predictions [rad, m or the channel's own unit].
 
     Returns:
         An array of the same shape.
@@ -113,7 +129,13 @@ def whiten(noise: Noise, time: Array, values: Array) -> Array:
 
 
 def log_likelihood(noise: Noise, times: Sequence[Array], residuals: Sequence[Array]) -> float:
-    """Gaussian log likelihood of residual series (m, nj), without the constant terms."""
+    """Gaussian log likelihood −½ Σ (ln S + e²/S) of residual series, without the constant terms, see ``whiten``.
+
+    Args:
+        noise: of every joint and other channel.
+        times: for each series (m,) [s].
+        residuals: for each series (m, nj + ne) [rad, m or the channel's own unit].
+    """
     total = 0.0
     for time, residual in zip(times, residuals, strict=True):
         for j, own in enumerate(noise):
@@ -125,13 +147,16 @@ def log_likelihood(noise: Noise, times: Sequence[Array], residuals: Sequence[Arr
 
 
 def white_noise(residuals: Sequence[Array]) -> Noise:
-    """White noise as large as residual series (m, nj) are."""
+    """White noise as large as residual series (m, nj + ne) are, their root mean square; at least ``LEAST``."""
     size = np.sqrt((np.concatenate(residuals) ** 2).mean(axis=0))
     return tuple(JointNoise(max(float(s), LEAST)) for s in size)
 
 
 def noise_of_differences(positions: Sequence[Array]) -> Noise:
-    """White noise as large as second differences of measured angles (m, nj) say; colour makes it too small."""
+    """White noise as large as second differences d of measured positions (m, nj) say, √(mean of d²/6).
+
+    Colour makes it too small, accelerations too large.
+    """
     second = np.concatenate([np.diff(position, 2, axis=0) for position in positions])
     size = np.sqrt((second**2).mean(axis=0) / 6.0)
     return tuple(JointNoise(max(float(s), LEAST)) for s in size)
@@ -143,15 +168,15 @@ def resolution(values: Array) -> float:
     differences = differences[differences > SAME * np.abs(values).max(initial=1e-300)]
     if len(differences) < LEAST_STEPS:
         return 0.0
-    step = float(np.quantile(differences, 0.1))
+    step = float(np.quantile(differences, SMALL_DIFFERENCES))
     counts = differences / step
-    step = float(np.median(differences[counts < 1.5]))
-    even = np.abs(differences / step - np.round(differences / step)) < 0.05
-    return step if even.mean() > 0.95 else 0.0
+    step = float(np.median(differences[counts < ONE_STEP]))
+    even = np.abs(differences / step - np.round(differences / step)) < OFF_STEP
+    return step if even.mean() > WHOLE_STEPS else 0.0
 
 
 def largest_noise(times: Sequence[Array], residuals: Sequence[Array], level: float, longest: float = LONGEST) -> Array:
-    """(nj,) the largest standard deviation that the noise in residual series can have [rad or m]; inf if too short.
+    """(nj + ne,) the largest standard deviation that noise in residual series can have; inf if they are too short.
 
     What a model leaves out makes residuals that last, and an estimate of coloured noise takes them for noise. Their
     second differences d = y(t − h) − 2·y(t) + y(t + h) over a lag h hardly see what is slower than h. Noise of variance
@@ -161,12 +186,12 @@ def largest_noise(times: Sequence[Array], residuals: Sequence[Array], level: flo
 
     with h₁, h₂ before and behind t: the right side falls in both ρ, so noise that forgets sooner, white noise at last,
     and any sum of such noises makes more. Errors of the model, and spikes where it misses an impact, add to d². So each
-    lag bounds s² from above, and the least of ``LAGS`` counts. The mean of d² is known from finitely many: its upper
+    lag bounds s² from above, and the least over ``LAGS`` counts. The mean of d² is known from finitely many: its upper
     confidence limit at a level, χ² of as many as share no samples, is taken.
 
     Args:
         times: for each series (m,) [s].
-        residuals: for each series (m, nj) [rad or m].
+        residuals: for each series (m, nj + ne) [rad, m or the channel's own unit].
         level: probability that noise is larger by chance.
         longest: upper bound of the correlation time [s].
     """
@@ -174,8 +199,8 @@ def largest_noise(times: Sequence[Array], residuals: Sequence[Array], level: flo
     bound = np.full(residuals[0].shape[1], np.inf)
     if not len(steps):
         return bound
-    for lag in LAGS:
-        k = max(round(lag / float(np.median(steps))), 1)
+    for share in LAGS:
+        k = max(round(share * longest / float(np.median(steps))), 1)
         squares, least, count = np.zeros(len(bound)), 0.0, 0
         for time, rows in zip(times, residuals, strict=True):
             second = rows[: -2 * k] - 2 * rows[k:-k] + rows[2 * k :]
@@ -195,11 +220,11 @@ def estimate_noise(
     longest: float = LONGEST,
     correlated: Callable[[float], bool] = lambda gain: not gain < COLOUR,
 ) -> Noise:
-    """The noise that makes residual series (m, nj) most likely, joint by joint.
+    """The noise that makes residual series most likely, joint by joint and channel by channel.
 
     Args:
         times: for each series (m,) [s].
-        residuals: for each series (m, nj) [rad or m].
+        residuals: for each series (m, nj + ne) [rad, m or the channel's own unit].
         longest: upper bound of the correlation time [s].
         correlated: whether noise that is correlated over time is taken, for its gain in −2 ln L over white noise.
     """
@@ -228,14 +253,15 @@ def _estimate(
         return profile(float(x[0]), math.exp(float(x[1])))[0]
 
     bounds = [(0.0, 1.0 - 1e-6), (math.log(SHORTEST), math.log(longest))]
-    tried = [(objective(np.array([s, math.log(t)])), s, t) for s in (0.1, 0.5, 0.95) for t in (0.01, 0.03, longest)]
+    guesses = [(s, t) for s in GUESSED_SHARES for t in (*GUESSED_TIMES, longest)]
+    tried = [(objective(np.array([s, math.log(t)])), s, t) for s, t in guesses]
     _, share, tau = min(tried)
     found = minimize(
         objective,
         np.array([share, math.log(tau)]),
         method="Nelder-Mead",
         bounds=bounds,
-        options={"xatol": 1e-3, "fatol": 1e-7, "maxiter": 120},
+        options=TOLERANCES,
     )
     share, tau = float(found.x[0]), math.exp(float(found.x[1]))
     value, size = profile(share, tau)

@@ -12,11 +12,16 @@ from equimus_ctrl.identification.projection import Nuisance
 from equimus_ctrl.types import Array
 
 UNSEEN = 1e-6
-"""A direction in scaled parameters with less than this share of the strongest one's effect counts as without any."""
+"""A direction in scaled parameters with less than this share of the strongest one's effect counts as without any: the
+derivatives are differences, and no better than that."""
 INVOLVED = 1e-2
-"""Share of an unseen direction from which on a parameter belongs to it."""
+"""Share of an unseen direction's largest component from which on a parameter belongs to it; below, it is rounding."""
 STRONG = 0.9
 """Correlation from which on two parameters are said to trade off."""
+ZERO = 2.0
+"""Standard deviations below which a correlation is none: n pairs of white noise have one of 1/√n."""
+KERNEL = 4
+"""Correlation times up to which scores are taken to be correlated."""
 
 
 @dataclass(frozen=True)
@@ -50,8 +55,8 @@ class Uncertainty:
     """What the residuals say of the parameters.
 
     Attributes:
-        standard_error: (p,) inf where a parameter is not identifiable.
-        half_width: (p,) of the interval of the confidence asked for.
+        standard_error: (p,) inf where a parameter is not identifiable [unit of each parameter].
+        half_width: (p,) of the interval of the confidence asked for [unit of each parameter].
         correlation: (p, p); nan where a parameter is not identifiable.
         trade_offs: strongest first.
         effective_samples: how many independent residuals the coloured ones are worth.
@@ -81,7 +86,7 @@ class Uncertainty:
 
 
 def correlation_time(residuals: Sequence[Array]) -> float:
-    """Integrated autocorrelation time in samples of residual series (m, nj), at least 1 (white).
+    """Integrated autocorrelation time in samples of residual series (m, nj + ne), at least 1 (white).
 
     1 + 2·Σ ρ(lag) up to the first lag whose correlation lies within the noise of its own estimate.
     """
@@ -95,7 +100,7 @@ def correlation_time(residuals: Sequence[Array]) -> float:
         pairs = [r[lag:] * r[:-lag] for r in residuals if len(r) > lag]
         count = sum(p.size for p in pairs)
         rho = sum(float(p.sum()) for p in pairs) / count / variance
-        if rho < 2.0 / np.sqrt(count):
+        if rho < ZERO / np.sqrt(count):
             break
         time += 2.0 * rho
     return time
@@ -113,16 +118,17 @@ def uncertainty(
     """Intervals from a least-squares fit whose residuals are coloured within each segment.
 
     The sandwich (JᵀJ)⁻¹ S (JᵀJ)⁻¹ with S the sum over lags of the scores' autocovariances, weighted as by Newey and
-    West (1987) up to four correlation times, the starts of the segments projected out; then Student's t with the
+    West (1987) up to ``KERNEL`` correlation times, the starts of the segments projected out; then Student's t with the
     effective number of samples. A direction without effect makes the interval of every parameter it touches infinite.
+    All residuals are in one unit, or divided by their noise.
 
     Args:
-        jacobians: for each segment (m, nj, p), derivative of the prediction by the parameters.
-        residuals: for each segment (m, nj) [rad].
-        nuisances: for each segment (m, nj, s), derivative by the free numbers of its start; s may be 0.
+        jacobians: for each segment (m, nj + ne, p), derivative of the prediction by the parameters.
+        residuals: for each segment (m, nj + ne).
+        nuisances: for each segment (m, nj + ne, s), derivative by the free numbers of its start; s may be 0.
         names: of the parameters.
-        scale: (p,) sizes of changes that count.
-        values: (p,) where the fit ended.
+        scale: (p,) sizes of changes that count [unit of each parameter].
+        values: (p,) where the fit ended [unit of each parameter].
         confidence: of the intervals.
     """
     p = len(names)
@@ -136,7 +142,7 @@ def uncertainty(
     seen = strength > UNSEEN * strongest if strongest > 0 else np.zeros(len(strength), dtype=bool)
     blind = _sparse(directions[~seen])
     inverse = (directions[seen].T / strength[seen] ** 2) @ directions[seen]
-    lags = int(np.ceil(4 * time)) if time > 1 else 0
+    lags = int(np.ceil(KERNEL * time)) if time > 1 else 0
     meat = np.zeros((p, p))
     for j, r in zip(projected, residuals, strict=True):
         scores = np.einsum("mjp,mj->mp", j, r)
