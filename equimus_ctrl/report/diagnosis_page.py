@@ -92,6 +92,7 @@ def page(diagnosis: Diagnosis, title: str, command_line: str = "") -> str:
         ("units", "Units", _units(diagnosis)),
         ("trials", "Before and after", _before_after(diagnosis, figures)),
         ("unexplained", "Unexplained residuals", _unexplained(diagnosis, figures)),
+        ("rejected", "Rejected effects", _rejected(diagnosis)),
         ("confounded", "Not distinguishable", _not_distinguishable(diagnosis)),
         ("parameters", "Model parameters", _parameters(diagnosis)),
         ("candidates", "All candidates", _candidates(diagnosis, figures)),
@@ -264,7 +265,19 @@ def _unexplained(diagnosis: Diagnosis, figures: dict[str, Figure]) -> str:
 def _decisions(diagnosis: Diagnosis) -> str:
     if not diagnosis.decisions:
         return ""
-    return _table(("stage", "decision", "reason"), [(d.stage, d.decision, d.reason) for d in diagnosis.decisions], 3)
+    rows = [
+        (f"{d.stage}, other trials held out" if d.other_holdout else d.stage, d.decision, d.reason)
+        for d in diagnosis.decisions
+    ]
+    return _table(("stage", "decision", "reason"), rows, 3)
+
+
+def _rejected(diagnosis: Diagnosis) -> str:
+    if not diagnosis.rejected:
+        return ""
+    text = "<p>Each was part of a hypothesis until a stage spoke against it.</p>"
+    rows = [(short(own.named, diagnosis.model), own.stage, own.reason) for own in diagnosis.rejected]
+    return text + _table(("effect", "stage", "reason"), rows, 3)
 
 
 def _not_distinguishable(diagnosis: Diagnosis) -> str:
@@ -298,7 +311,7 @@ def _candidates(diagnosis: Diagnosis, figures: dict[str, Figure]) -> str:
     if not diagnosis.ranking:
         return ""
     model, found = diagnosis.model, diagnosis_text.grouped(diagnosis.findings)
-    marks = dict.fromkeys(diagnosis.rejected, "fits best, rejected")
+    marks = {own.named: f"rejected ({own.stage})" for own in diagnosis.rejected}
     marks |= {
         other: f"not distinguishable from {short(law.named, model)}"
         for law in found
