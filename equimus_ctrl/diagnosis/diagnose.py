@@ -89,6 +89,7 @@ def _check(settings: DiagnosisSettings) -> None:
 
 def _with_default_engine(free: FreeParameters, split: Split, settings: DiagnosisSettings) -> Data:
     """What is fitted, with the engine for the model, and a coarser and a finer one beside it where there are."""
+    # Of held-out trials too, which it has to be able to simulate: that looks at poses, and at no error.
     positions = [s.poses for s in (*split.train, *split.validation, *split.test)]
     engine = engine_for(free.model, settings.engine, positions=positions)
     simulator = Simulator(engine, settings.threads)
