@@ -68,9 +68,9 @@ METHOD = (
     "Every effect of the catalogue is screened at every place by the component of its response that is orthogonal to "
     "the Jacobian of the parameters, unless inverse dynamics along the measured motion leave it far behind. The best "
     "are fitted by simulation together with all parameters, in sets, forward, backward and exchanged.",
-    "An effect is accepted only where its gain exceeds the threshold for the best of all candidates and stands out from "
-    "the scatter of the residuals, where validation trials confirm it, where inverse dynamics along the measured motion "
-    "show it as far as there are any, and where no unstructured residual force explains as much.",
+    "An effect is accepted only where its gain exceeds the threshold for the best of all candidates and stands out "
+    "from the scatter of the residuals, where validation trials confirm it, where inverse dynamics along the measured "
+    "motion show it as far as there are any, and where no unstructured residual force explains as much.",
     "The remaining residuals are searched for generalised forces that depend on what moves, on commands or on time. "
     "Intervals are of 95 %; nominal is the model before refitting.",
 )
