@@ -14,7 +14,7 @@ from equimus_ctrl.diagnosis.localization import excess_variances, localise
 from equimus_ctrl.diagnosis.noise_size import noise_sizes
 from equimus_ctrl.diagnosis.residuals import Residuals
 from equimus_ctrl.diagnosis.results import STATES, Diagnosis, Rejected
-from equimus_ctrl.diagnosis.stages import far_above_noise, settled, skipped
+from equimus_ctrl.diagnosis.stages import decided_above_noise, settled, skipped
 from equimus_ctrl.diagnosis.state import State
 from equimus_ctrl.diagnosis.unexplained import not_on_test
 from equimus_ctrl.identification.residuals import residuals_of
@@ -29,7 +29,7 @@ def tested(state: State) -> State:
     test, best = state.inputs.split.test, state.end.best
     residuals = residuals_of(best.fit.model, test, state.data.simulator)
     analysis = not_on_test(state.data, best, test, residuals)
-    return far_above_noise(replace(state, analysis=analysis), "report", "error on the test set")
+    return decided_above_noise(replace(state, analysis=analysis), "report", "error on the test set")
 
 
 def report(state: State) -> Diagnosis:

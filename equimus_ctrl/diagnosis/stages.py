@@ -324,7 +324,7 @@ def validate(state: State) -> State:
     if state.analysis.unexplained:
         return state
     analysis = not_confirmed(state.data, best, split.validation, residuals)
-    return far_above_noise(replace(state, analysis=analysis), "validation", "held-out error")
+    return decided_above_noise(replace(state, analysis=analysis), "validation", "held-out error")
 
 
 def _failed(state: State, residuals: Sequence[Array]) -> str:
@@ -342,7 +342,7 @@ def _far_worse(times: float, t: Thresholds) -> bool:
     return times > t.failed
 
 
-def far_above_noise(state: State, stage: str, error: str) -> State:
+def decided_above_noise(state: State, stage: str, error: str) -> State:
     """With a decision for each joint whose residuals are far above the noise."""
     for residual in state.analysis.unexplained:
         reason = f"{error} {_size(residual):.3g} times the noise's variance"
