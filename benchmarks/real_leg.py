@@ -99,8 +99,8 @@ def tell(found: Diagnosis, rows: dict[str, dict[str, list[float]]]) -> None:
             print("    or", ", ".join(map(str, finding.equivalent)))
     for left in found.unexplained:
         print(f"  unexplained at {left.location}: goes with {left.depends_on or 'nothing that was looked for'}")
-    for named in found.rejected:
-        print(f"  rejected: {named}")
+    for own in found.rejected:
+        print(f"  rejected: {own.named}: {own.reason} ({own.stage})")
     for kind, states in rows.items():
         for joint, name in enumerate(found.joints):
             told = " → ".join(f"{states[state][joint]:.4f}" for state in STATES)

@@ -14,7 +14,17 @@ from equimus_ctrl.diagnosis.fitting import Data, Fitted
 from equimus_ctrl.diagnosis.hypothesis import Candidate, Part
 from equimus_ctrl.diagnosis.localization import excess_variances
 from equimus_ctrl.diagnosis.residuals import ResidualForce, ResidualLocation, Residuals
-from equimus_ctrl.diagnosis.results import Detectable, Diagnosis, Estimate, Evidence, Experiment, Finding, Named, Ranked
+from equimus_ctrl.diagnosis.results import (
+    Detectable,
+    Diagnosis,
+    Estimate,
+    Evidence,
+    Experiment,
+    Finding,
+    Named,
+    Ranked,
+    Rejected,
+)
 from equimus_ctrl.effects import REGISTRY
 from equimus_ctrl.engines.batch import simulate
 from equimus_ctrl.engines.trials import Trial
@@ -150,7 +160,9 @@ def assembled(
         ),
         findings=(found,),
         unexplained=(force,),
-        rejected=(Named("creep", ("maa",)),),
+        rejected=(
+            Rejected(Named("creep", ("maa",)), "unexplained", "it explains nothing more beside a residual force"),
+        ),
         ranking=tuple(ranking),
         detectable=(),
         experiment=Experiment("hold", {"p1": 12.0, "p2": 2.5}, (found.named, other), 6.2),

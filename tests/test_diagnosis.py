@@ -130,7 +130,9 @@ def test_a_search_goes_on_once_after_an_effect_was_rejected(monkeypatch: pytest.
     # What stands in for the friction the next time is withdrawn as well, and nothing looked for in its place.
     assert set(ends[1]) == {"dead_zone:baa", "stribeck_friction:knee"} and ends[2:] == [["dead_zone:baa"]]
     assert [str(f.named) for f in found.findings] == ["dead_zone at baa"]
-    assert [str(named) for named in found.rejected] == ["coulomb_friction at knee", "stribeck_friction at knee"]
+    assert [(str(own.named), own.stage, own.reason) for own in found.rejected] == [
+        (f"{kind}_friction at knee", "unexplained", "said so") for kind in ("coulomb", "stribeck")
+    ]
     reasons = {d.decision: d.reason for d in found.decisions if d.stage == "unexplained"}
     assert reasons == {f"{kind}_friction:knee rejected": "said so" for kind in ("coulomb", "stribeck")}
 

@@ -56,9 +56,13 @@ def ended(parts: Split, count: int) -> Diagnosis:
 def whole(parts: Split) -> tuple[Diagnosis, int]:
     """The diagnosis carried out, and how many steps it took."""
     asked, steps = asked_after(10**9)
-    return diagnose(default_free_parameters(NOMINAL), parts, settings=DiagnosisSettings(threads=1), asked=asked), steps[
-        0
-    ]
+    shares: list[float] = []
+    found = diagnose(
+        default_free_parameters(NOMINAL), parts, settings=DiagnosisSettings(threads=1), asked=asked,
+        progress=lambda stage, share, best: shares.append(share),
+    )  # fmt: skip
+    assert shares == sorted(shares) and shares[-1] == 1.0
+    return found, steps[0]
 
 
 def test_the_diagram_of_the_stages_has_them_in_order() -> None:
@@ -80,7 +84,8 @@ def test_the_best_so_far_is_given_with_what_was_not_looked_at(
     full, steps = whole
     found = ended(parts, int(share * steps))
     assert found.not_done and found.not_done == STAGES[-len(found.not_done) :]
-    assert found.verdict == "unfinished" and verdict(found).startswith("Unfinished: so far ")
+    assert found.verdict == "unfinished"
+    assert verdict(found).startswith(f"Unfinished, ended in the stage {found.not_done[0]}: so far ")
     assert any(note.startswith("Ended before its end; not looked at: ") for note in found.notes)
     assert any((d.stage, d.decision) == (found.not_done[0], "ended") for d in found.decisions)
     record = found.to_dict()

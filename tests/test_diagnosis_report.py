@@ -21,6 +21,38 @@ from equimus_ctrl.report.diagnosis_words import estimate_text
 # Figures and page
 
 
+def test_what_was_rejected_is_told_with_its_reason_and_stage(diagnosis: Diagnosis) -> None:
+    (own,) = diagnosis.rejected
+    (line,) = diagnosis_text.rejected(diagnosis)
+    assert own.reason in line and f"({own.stage})" in line and "reep" in line
+    assert not any(own.reason in said for said in diagnosis_text.remains(diagnosis))
+    text = page(diagnosis, "leg")
+    section = text[text.index('<section id="rejected">') :].split("</section>")[0]
+    assert own.reason in section and f">{own.stage}<" in section
+    assert 'id="rejected"' not in page(replace(diagnosis, rejected=()), "leg")
+    (written,) = diagnosis.to_dict()["rejected"]
+    assert written == {**own.named.to_dict(), "stage": own.stage, "reason": own.reason}
+
+
+@pytest.mark.parametrize(
+    ("not_done", "held_out", "said"),
+    [
+        (("unexplained", "units"), True, "validation trials confirm it."),
+        (("groups", "confirmation", "units"), True, "validation trials confirm it as fitted by then."),
+        (("groups", "confirmation", "units"), False, "nothing was held out to confirm it."),
+    ],
+)
+def test_an_ended_diagnosis_says_what_held_out_trials_say(
+    diagnosis: Diagnosis, not_done: tuple[str, ...], held_out: bool, said: str
+) -> None:
+    d = replace(diagnosis, verdict="unfinished", not_done=not_done)
+    d = d if held_out else replace(d, validation=())
+    text = diagnosis_text.verdict(d)
+    assert text.startswith(f"Unfinished, ended in the stage {not_done[0]}: so far one effect missing") and said in text
+    nothing = diagnosis_text.verdict(replace(d, findings=()))
+    assert "so far no missing effect was found" in nothing and "confirm" not in nothing
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("verdict", VERDICTS)
 def test_all_figures_of_every_verdict_can_be_drawn(diagnosis: Diagnosis, verdict: str) -> None:
@@ -99,7 +131,7 @@ def test_the_page_is_whole_and_needs_nothing_else(diagnosis: Diagnosis) -> None:
         assert str(attrs["src"]).startswith("data:image/png;base64,") and attrs["alt"]
     ids = [attrs["id"] for _, attrs in found.seen if "id" in attrs]
     links = [str(attrs["href"]) for tag, attrs in found.seen if tag == "a"]
-    assert [f"#{name}" for name in ids] == links and len(ids) == len(set(ids)) == 10
+    assert [f"#{name}" for name in ids] == links and len(ids) == len(set(ids)) == 11
     said = " ".join(found.text)
     assert "<b>x" in said and "Leg & <i>co</i>" in said and '"<my> recordings"' in said
     for one in diagnosis.findings:

@@ -198,17 +198,29 @@ def fitted_to(model: Model, shown: Recording, names: list[str], length: float) -
     return data, data.base()
 
 
+def left_by(data: Data, fitted: Fitted) -> Array:
+    """(m, 1) residuals of a fit on some data."""
+    starts = [start[None] for start in fitted.fit.starts]
+    predicted = data.simulator([fitted.fit.model], data.segments, starts)
+    return np.concatenate([s.measured - p.position[0] for s, p in zip(data.segments, predicted, strict=True)])
+
+
 @pytest.mark.slow
 def test_the_fitted_motion_leads_to_starts_without_the_noise_of_the_measured_one() -> None:
     """Whose noise at starts is in no interval: with it the truth is farther off than the intervals say."""
     (found,) = reduced(Model(ROBOT, (SOFT,)), [whole(ROBOT, torque())])
-    off = []
+    off, others = [], []
     for seed in range(2, 8):
         shown = recording(whole(ROBOT, torque()), found.position[0] + coloured(seed))
         data, measured = fitted_to(Model(ROBOT, (SOFT,)), shown, ["pivot.joint_compliance.stiffness"], 0.3)
-        led = data.led_by_fit(measured)
+        own, led = data.led_by_fit(measured)
         assert led.deviance <= measured.deviance
+        residuals = np.concatenate(led.fit.residuals)
+        assert np.allclose(left_by(own, led), residuals, rtol=0, atol=1e-12)
+        assert (own is data) is (led is measured)
+        others.append(float(np.abs(left_by(data, led) - residuals).max()))
         off.append([f.fit.uncertainty.statistic([0], f.fit.theta - 25.0) for f in (measured, led)])
+    assert max(others) > 1e-4  # which is not what was fitted before
     by_measured, by_fit = np.sum(off, axis=0)
     assert by_fit < 0.6 * by_measured
 
@@ -217,7 +229,7 @@ def test_a_fit_without_hidden_states_is_led_by_nothing() -> None:
     (found,) = stepped(Model(ROBOT), [whole(ROBOT, torque())])
     shown = recording(whole(ROBOT, torque()), found.position[0] + coloured(1))
     data, plain = fitted_to(Model(ROBOT), shown, ["arm.mass", "pivot.damping"], 0.5)
-    assert data.led_by_fit(plain) is plain
+    assert data.led_by_fit(plain) == (data, plain)
 
 
 def test_what_is_predicted_leads_where_it_was_predicted() -> None:

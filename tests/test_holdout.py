@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from leg_runs import recordings
 
-from equimus_ctrl.diagnosis.holdout import Holdout, choose_holdout, split
+from equimus_ctrl.diagnosis.holdout import Holdout, choose_holdout, never_held_out, split
 from equimus_ctrl.errors import ConfigError
 from equimus_ctrl.models.model import nominal_model
 from equimus_ctrl.types import Recording
@@ -44,6 +44,20 @@ def test_which_trials_are_held_out() -> None:
         split(model, trials, validation=["*"])
     with pytest.raises(ConfigError, match="fitted is what comes before 100 s, but the last trial ends at "):
         split(model, trials, until=100.0)
+    kept = [s.trial.name for s in never_held_out(model, recordings((), count=8))]
+    assert kept == ["trial_0", "trial_1", "trial_4", "trial_5"]  # whichever of both splits it is
+    assert [s.trial.name for s in never_held_out(model, trials, validation=["trial_[01]"])] == [
+        "trial_2",
+        "trial_3",
+        "trial_4",
+    ]
+    assert [s.trial.name for s in never_held_out(model, trials, test=["trial_0"])] == ["trial_1", "trial_2"]
+    for given, options in ((trials[:1], {}), (trials, {"until": 3.0}), (trials, {"until": 3.0, "window": (1.0, 4.0)})):
+        fitted = split(model, given, **options).train  # type: ignore[arg-type]
+        uncut = never_held_out(model, given, **options)  # type: ignore[arg-type]
+        for one, other in zip(fitted, uncut, strict=True):
+            np.testing.assert_array_equal(one.trial.sample_times, other.trial.sample_times)
+            np.testing.assert_array_equal(one.measured, other.measured)
     end = float(trials[0].time[-1])
     for options, sentence in (
         ({"until": -1.0}, "fitted is what comes before -1 s, but the first trial begins at 0 s"),

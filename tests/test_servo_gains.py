@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
+import importlib
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from pendulum_runs import MOTOR, PENDULUM, SERVO, recorded
 
 from equimus_ctrl import workflow
-from equimus_ctrl.diagnosis.holdout import split
+from equimus_ctrl.diagnosis.holdout import never_held_out, split
 from equimus_ctrl.diagnosis.hypothesis import default_free_parameters
 from equimus_ctrl.diagnosis.intervals import forgets
-from equimus_ctrl.diagnosis.servo_gains import servo_gains, told, with_servo_gains
+from equimus_ctrl.diagnosis.servo_gains import ServoGain, servo_gains, told, with_servo_gains
 from equimus_ctrl.engines.mjcf import simulate_mjcf
 from equimus_ctrl.engines.trials import Trial
+from equimus_ctrl.identification.segments import Segment, cut
 from equimus_ctrl.identification.simulators import simulator_for
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.report.diagnosis_page import page
@@ -26,10 +30,14 @@ def model(drive: str = SERVO, kp: float = TRUE) -> Model:
     return Model(MjcfRobot("arm", PENDULUM.format(drive=drive).replace('kp="12"', f'kp="{kp:g}"')))
 
 
+def whole(trials: list[Recording]) -> list[Segment]:
+    return cut(model(), trials)
+
+
 @pytest.mark.parametrize("said", [0.02, 1.0, 3.0, 80.0])
 def test_a_stiffness_far_from_the_models_is_measured(said: float) -> None:
     """The goals lead the pendulum by what its weight needs over the servo's stiffness."""
-    gains = servo_gains(model(kp=said * TRUE), recorded(model()))
+    gains = servo_gains(model(kp=said * TRUE), whole(recorded(model())))
     if 0.2 < said < 5:
         assert gains == ()
         return
@@ -39,9 +47,38 @@ def test_a_stiffness_far_from_the_models_is_measured(said: float) -> None:
     assert f"drive.kp {said * TRUE:.4g} → {gain.measured:.3g}" in told(gains)
 
 
+def test_what_is_held_out_tells_nothing_of_what_is_free(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Neither trials that judge, in either split, nor those of the test set; of a trial alone of its kind its end."""
+    asked: list[list[Segment]] = []
+
+    class Seen(Exception):
+        pass
+
+    def seen(own: Model, segments: list[Segment]) -> tuple[ServoGain, ...]:
+        asked.append(segments)
+        raise Seen
+
+    monkeypatch.setattr(importlib.import_module("equimus_ctrl.workflow.diagnose"), "servo_gains", seen)
+    trials = [*recorded(model(), count=8), replace(recorded(model(), count=1)[0], name="slow")]
+    with pytest.raises(Seen):
+        workflow.diagnose_recordings(trials, model())
+    segments = {s.recording_name: s for s in asked[0]}
+    assert list(segments) == ["t0", "t1", "t4", "t5", "slow"]
+    assert segments["t0"].trial.sample_times[-1] == trials[0].time[-1]
+    assert segments["slow"].trial.sample_times[-1] <= trials[-1].time[-1] * 0.75
+    with pytest.raises(Seen):
+        workflow.diagnose_recordings(trials, model(), validation=["t[01]"], test=["t2"], until=None)
+    assert {s.recording_name for s in asked[1]}.isdisjoint({"t0", "t1", "t2"})
+    # Whatever is measured in those, the same is told.
+    stiff = model(kp=100 * TRUE)
+    others = [r if r.name in segments else replace(r, position=0.3 * r.position) for r in trials]
+    gains = [servo_gains(stiff, never_held_out(stiff, own)) for own in (trials, others)]
+    assert gains[0] == gains[1] and gains[0][0].measured == pytest.approx(TRUE, rel=0.15)
+
+
 def test_then_bodies_are_the_standard_of_force() -> None:
     stiff = model(kp=100 * TRUE)
-    gains = servo_gains(stiff, recorded(model()))
+    gains = servo_gains(stiff, whole(recorded(model())))
     before, after = default_free_parameters(stiff), with_servo_gains(default_free_parameters(stiff), gains)
     assert {"arm.mass", "arm.inertia"} == set(before.names) and {"drive.kp", "drive.kv", "hinge.armature"} == set(
         after.names
@@ -58,7 +95,7 @@ def test_where_damping_is_free_a_servos_own_is_not() -> None:
     """Both do the same."""
     damped = PENDULUM.format(drive=SERVO).replace("armature=", 'damping="0.1" armature=')
     given = Model(MjcfRobot("arm", damped.replace('kp="12"', 'kp="1200"')))
-    gains = servo_gains(given, recorded(Model(MjcfRobot("arm", damped))))
+    gains = servo_gains(given, whole(recorded(Model(MjcfRobot("arm", damped)))))
     after = with_servo_gains(default_free_parameters(given), gains)
     assert "hinge.damping" in after.names and "drive.kv" not in after.names
     assert after.model.parameters()["drive.kv"] == pytest.approx(0.4 * gains[0].measured / 1200)
@@ -86,7 +123,7 @@ def test_a_joint_without_load_tells_no_stiffness() -> None:
     upright = PENDULUM.format(drive=SERVO).replace('axis="0 -1 0"', 'axis="0 0 1"')
     real = Model(MjcfRobot("arm", upright))
     stiff = Model(MjcfRobot("arm", upright.replace('kp="12"', 'kp="1200"')))
-    assert servo_gains(stiff, recorded(real)) == ()
+    assert servo_gains(stiff, whole(recorded(real))) == ()
 
 
 def test_a_servo_forgets_where_it_began_and_a_pendulum_does_not() -> None:
@@ -137,7 +174,7 @@ TURRET = """<mujoco model="turret">
 def test_a_servo_without_load_is_as_soft_as_the_others() -> None:
     """Its rotor inertia is free in its stiffness' place; friction and damping begin where motion has them."""
     real, stiff = (Model(MjcfRobot("turret", TURRET.format(kp=kp))) for kp in (12, 1200))
-    gains = {g.joint: g for g in servo_gains(stiff, recorded(real, size=0.5))}
+    gains = {g.joint: g for g in servo_gains(stiff, cut(stiff, recorded(real, size=0.5)))}
     assert not gains["pan"].loaded and gains["hinge"].loaded
     assert gains["pan"].measured == gains["hinge"].measured == pytest.approx(12, rel=0.15)
     assert gains["hinge"].joint_begins["hinge.frictionloss"] == pytest.approx(0.05, rel=0.3)

@@ -14,8 +14,9 @@ from equimus_ctrl.diagnosis.experiment import Designs
 from equimus_ctrl.diagnosis.fitting import Data
 from equimus_ctrl.diagnosis.holdout import Split
 from equimus_ctrl.diagnosis.policy import SearchPolicy
+from equimus_ctrl.diagnosis.reporting import report
 from equimus_ctrl.diagnosis.results import Diagnosis
-from equimus_ctrl.diagnosis.state import DiagnosisInputs
+from equimus_ctrl.diagnosis.state import DiagnosisInputs, forward
 from equimus_ctrl.diagnosis.state import DiagnosisSettings as DiagnosisSettings
 from equimus_ctrl.diagnosis.state import Progress as Progress
 from equimus_ctrl.effects.base import REGISTRY
@@ -65,7 +66,7 @@ def diagnose(
         else:
             data = _with_engine_given(free, split, simulator)
         data = replace(data, budget=budget, thresholds=settings.thresholds)
-        inputs = DiagnosisInputs(data, split, settings, designs, progress, begun, nominal or free.model)
+        inputs = DiagnosisInputs(data, split, settings, designs, forward(progress), begun, nominal or free.model)
         try:
             state = stages.carried_out(inputs)
         except BudgetSpent:
@@ -74,7 +75,7 @@ def diagnose(
             raise ConfigError(
                 f"the budget of {settings.budget:g} s ended before the model was refitted once; expected more time"
             ) from None
-        return stages.report(state)
+        return report(state)
 
 
 def _check(settings: DiagnosisSettings) -> None:
@@ -88,6 +89,7 @@ def _check(settings: DiagnosisSettings) -> None:
 
 def _with_default_engine(free: FreeParameters, split: Split, settings: DiagnosisSettings) -> Data:
     """What is fitted, with the engine for the model, and a coarser and a finer one beside it where there are."""
+    # Of held-out trials too, which it has to be able to simulate: that looks at poses, and at no error.
     positions = [s.poses for s in (*split.train, *split.validation, *split.test)]
     engine = engine_for(free.model, settings.engine, positions=positions)
     simulator = Simulator(engine, settings.threads)

@@ -244,16 +244,19 @@ class Data:
         start = finely._fit(fitted.hypothesis, [fitted.begin], fitted.noise, NO_STEP)
         return finely.converge(finely._with_noise(fitted.hypothesis, start))
 
-    def led_by_fit(self, fitted: Fitted) -> Fitted:
+    def led_by_fit(self, fitted: Fitted) -> tuple[Data, Fitted]:
         """A fit in which the motion that it predicts leads to what no sensor shows at starts, where that fits better.
 
-        Measured motion brings its noise there, which no interval of the parameters counts. The same fit where nothing
-        hangs on the motion before a start.
+        Measured motion brings its noise there, which no interval of the parameters counts. With it the data that it was
+        fitted to, whose segments that motion leads. Both as they are where nothing hangs on the motion before a start.
+
+        Args:
+            fitted: to these data.
 
         Raises:
             BudgetSpent, SimulationDiverged: as of ``coarse_fit``.
         """
-        best = fitted
+        best, own = fitted, self
         for _ in range(ROUNDS if any(s.trial.led is not None for s in self.segments) else 0):
             data, hypothesis = replace(self, segments=led_along(self.segments, best.fit.residuals)), best.hypothesis
             begun = data._fit(hypothesis, [best.begin], best.noise, NO_STEP, GridScan(0, 0))
@@ -262,10 +265,10 @@ class Data:
             after = data.converge(data._with_noise(hypothesis, begun), settled=True)
             gain = best.deviance - after.deviance
             if gain > 0:
-                best = after
+                best, own = after, data
             if gain < CONVERGED_GAIN:
                 break
-        return best
+        return own, best
 
     def _fit(
         self,

@@ -38,7 +38,8 @@ class Split:
     Attributes:
         train: fitted.
         validation: not fitted; effects are confirmed or rejected by them.
-        test: not seen by any fit or choice, for the error that is reported; empty where there are too few trials.
+        test: whose errors no fit and no choice sees, for the error that is reported; empty where there are too few
+            trials.
         short_segments: the fitted trials in intervals so short that errors do not grow in them; none if alike.
         of: how many shooting intervals the fitted trials have, of which ``train`` may be some alone, see ``MOST_TIME``.
         other: the same trials with others of them held out, for where those show what the rest does not; None where
@@ -221,14 +222,7 @@ def split(
         ConfigError: where recordings cannot be used, a pattern fits none, the window is none, ``until`` leaves
             nothing to judge by, or nothing is left to fit.
     """
-    for r in recordings:
-        check_columns(model, r)
-    check(model, recordings)
-    if window is not None and not window[0] < window[1]:
-        raise ConfigError(f"the window goes from {window[0]:g} to {window[1]:g} s, expected the earlier time first")
-    heldout = choose_holdout([r.name for r in recordings], validation, test, by_time=until is not None, groups=groups)
-    if until is not None:
-        _check_until(until, recordings, window)
+    heldout = _checked_holdout(model, recordings, validation, test, until, window, groups)
     short = not model.robot.traits.held_in_place
     if short:
         long = _too_long(recordings, heldout, until, window)
@@ -248,6 +242,66 @@ def split(
     instead = replace(heldout, validation=heldout.other)
     other = _parted(model, recordings, instead, until, window, shoot, short)
     return replace(parts, other=_grouped(other, groups))
+
+
+def _checked_holdout(
+    model: Model,
+    recordings: Sequence[Recording],
+    validation: Sequence[str],
+    test: Sequence[str],
+    until: float | None,
+    window: tuple[float, float] | None,
+    groups: Sequence[str],
+) -> Holdout:
+    """Which trials are held out, see ``split``; ConfigError where that cannot be."""
+    for r in recordings:
+        check_columns(model, r)
+    check(model, recordings)
+    if window is not None and not window[0] < window[1]:
+        raise ConfigError(f"the window goes from {window[0]:g} to {window[1]:g} s, expected the earlier time first")
+    heldout = choose_holdout([r.name for r in recordings], validation, test, by_time=until is not None, groups=groups)
+    if until is not None:
+        _check_until(until, recordings, window)
+    return heldout
+
+
+def never_held_out(
+    model: Model,
+    recordings: Sequence[Recording],
+    *,
+    validation: Sequence[str] = (),
+    test: Sequence[str] = (),
+    until: float | None = None,
+    window: tuple[float, float] | None = None,
+    groups: Sequence[str] = (),
+) -> list[Segment]:
+    """What ``split`` fits whichever trials are held out, uncut: for what decides on the model before there is a split.
+
+    Neither the validation nor the test set is among it, nor what is for validation in the other split
+    (``Split.other``). No simulation is needed for it.
+
+    Args:
+        model: whose names the recordings must have.
+        recordings: all of them.
+        validation: as in ``split``, as are the others.
+        test: the same.
+        until: the same [s].
+        window: the same [s].
+        groups: the same.
+
+    Raises:
+        ConfigError: where recordings cannot be used, a pattern fits none, or the window is none.
+    """
+    heldout = _checked_holdout(model, recordings, validation, test, until, window, groups)
+    found: list[Segment] = []
+    for k, r in enumerate(recordings):
+        if k in heldout.validation | heldout.test | heldout.other:
+            continue
+        low, high = _span(r, window)
+        end = _edges(r, k, (low, high), heldout, until)[0]
+        if end > low:
+            found += _cut(model, r, k, (low, end), None)
+    return found
 
 
 def _grouped(parts: Split, groups: Sequence[str]) -> Split:

@@ -26,9 +26,13 @@ SCHEMA = "equimus-ctrl/diagnosis/2"
 Verdict = Literal["consistent", "explained", "partly_explained", "unexplained", "unfinished"]
 Set = Literal["train", "validation", "test"]
 SETS: tuple[Set, ...] = ("train", "validation", "test")
-"""Of the trials: fitted, by which effects were confirmed or rejected, and not touched before the report."""
+"""Of the trials: fitted, by which effects were confirmed or rejected, and not simulated before the report."""
 STATES = ("nominal", "refitted", "corrected")
 """The nominal model, the refitted (re-identified) model, and the augmented model with the effects found."""
+
+CONFIRMATION = "confirmation"
+"""The stage in which held-out trials judge the effects of the search's end; they judge what was fitted by then where it
+was not carried out."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -204,15 +208,37 @@ class Decision:
         stage: its name, see ``stages.STAGES``; before and after these ``refit`` and ``report``.
         decision: in words.
         reason: in words and figures.
+        other_holdout: whether it is of the second diagnosis, with other trials held out.
     """
 
     stage: str
     decision: str
     reason: str
+    other_holdout: bool = False
 
     def to_dict(self) -> dict[str, Any]:
         """As JSON data."""
-        return dict(vars(self))
+        said = {"stage": self.stage, "decision": self.decision, "reason": self.reason}
+        return said | ({"other_holdout": True} if self.other_holdout else {})
+
+
+@dataclass(frozen=True)
+class Rejected:
+    """An effect that was part of a hypothesis and is none of the end's.
+
+    Attributes:
+        named: what and where.
+        stage: that rejected it, see ``stages.STAGES``.
+        reason: in words and figures.
+    """
+
+    named: Named
+    stage: str
+    reason: str
+
+    def to_dict(self) -> dict[str, Any]:
+        """As JSON data."""
+        return {**self.named.to_dict(), "stage": self.stage, "reason": self.reason}
 
 
 @dataclass(frozen=True, eq=False)
@@ -228,14 +254,15 @@ class Diagnosis:
         best: the fit of the augmented one.
         train: segments fitted.
         validation: segments that were not fitted, and by which effects were confirmed or rejected.
-        test: segments that took no part in any fit or choice.
+        test: segments whose errors took no part in any fit or choice.
         residuals: of each of ``STATES``.
         sigma: (nj,) standard deviation of each joint's noise [rad or m], see ``noise_size.noise_sizes``.
         where: the refitted model's residuals are, largest first.
         findings: strongest first.
         unexplained: what none of them explains, strongest first.
         undetermined: effects that fit, but whose parameters these recordings do not identify: they are not named.
-        rejected: effects that fit best but no better than a residual force, see ``unexplained``.
+        rejected: effects that were part of a hypothesis until held-out trials, a residual force or the engine's step
+            spoke against them; none that is found, undetermined or not distinguishable all the same.
         ranking: all candidates, alone, best first.
         detectable: smallest detectable sizes of effects; only where nothing was found.
         experiment: that would distinguish effects that these recordings do not.
@@ -243,7 +270,7 @@ class Diagnosis:
             residual over the noise's variance, minus 1.
         notes: warnings, as sentences.
         seconds: how long it took.
-        decisions: of the stages, in order.
+        decisions: of the stages, in order; where others were held out, those of the second diagnosis after the first's.
         not_done: stages that it was ended before or in, by its budget or by whoever asked for its best so far.
         groups: of trials, such as units of the robot; none where all are of one.
         differences: between them, the strongest evidence first.
@@ -264,7 +291,7 @@ class Diagnosis:
     where: tuple[ResidualLocation, ...]
     findings: tuple[Finding, ...]
     unexplained: tuple[Unexplained, ...]
-    rejected: tuple[Named, ...]
+    rejected: tuple[Rejected, ...]
     ranking: tuple[Ranked, ...]
     detectable: tuple[Detectable, ...]
     experiment: Experiment | None
@@ -329,7 +356,7 @@ class Diagnosis:
             "findings": [finding.to_dict() for finding in self.findings],
             "undetermined": [finding.to_dict() for finding in self.undetermined],
             "unexplained": [residual.to_dict() for residual in self.unexplained],
-            "rejected": [named.to_dict() for named in self.rejected],
+            "rejected": [own.to_dict() for own in self.rejected],
             "noise_rad": self._by_joint(self.sigma),
             "noise_correlation_s": {
                 j: n.time if n.coloured > 0 else 0.0 for j, n in zip(self.joints, self.noise, strict=True)

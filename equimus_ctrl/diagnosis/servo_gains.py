@@ -25,12 +25,14 @@ from functools import cached_property
 import numpy as np
 
 from equimus_ctrl.diagnosis.hypothesis import default_free_parameters
-from equimus_ctrl.diagnosis.preflight import LONG_ENOUGH, UNIT, measured_motions
-from equimus_ctrl.engines.mjcf_inverse import InverseDynamics, MeasuredMotion, inverse_dynamics
+from equimus_ctrl.diagnosis.preflight import LONG_ENOUGH, UNIT
+from equimus_ctrl.engines.mjcf_inverse import InverseDynamics, MeasuredMotion, inverse_dynamics, motions_of
+from equimus_ctrl.identification.noise import noise_of_differences
 from equimus_ctrl.identification.parameters import FreeParameters
+from equimus_ctrl.identification.segments import Segment
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.robots.mjcf.robot import mjcf_of
-from equimus_ctrl.types import Array, Recording
+from equimus_ctrl.types import Array
 
 WIDTHS = (4, 8, 16)
 """Widths of test functions in samples."""
@@ -114,22 +116,26 @@ class _Rows:
         return dict(zip(("damping", "frictionloss", "armature"), map(float, found), strict=True))
 
 
-def servo_gains(model: Model, recordings: Sequence[Recording]) -> tuple[ServoGain, ...]:
+def servo_gains(model: Model, segments: Sequence[Segment]) -> tuple[ServoGain, ...]:
     """Stiffnesses of a robot's position servos, where they are far from what the model says; none where they are not.
 
-    Far is a factor of ``preflight.UNIT``.
+    Far is a factor of ``preflight.UNIT``. They decide what is free, so nothing that is held out may be among them, see
+    ``holdout.never_held_out``.
 
     Args:
         model: of any robot.
-        recordings: with the robot's joints and actuators, in its order.
+        segments: of recordings that are fitted, uncut.
     """
-    if not model.robot.has_torque_domain:
+    if not segments or not model.robot.has_torque_domain:
         return ()
     robot, values = mjcf_of(model.robot), model.robot.parameters()
     servos = {f"{d.actuator}.kp": d.joint for d in robot.actuators if d.servo and f"{d.actuator}.kp" in values}
     if not servos or len(servos) < len(robot.actuators):
         return ()
-    shown = _shown(_bodies_alone(model), measured_motions(model, recordings), values, servos)
+    measured = [s.measured for s in segments]
+    noise = np.array([own.sigma for own in noise_of_differences(measured)])
+    motions = motions_of([s.trial for s in segments], measured, noise)
+    shown = _shown(_bodies_alone(model), motions, values, servos)
     own = _stiffnesses(shown)
     shares = [stiffness / values[name] for name, (stiffness, _) in own.items()]
     if not any(not 1 / UNIT < share < UNIT for share in shares):

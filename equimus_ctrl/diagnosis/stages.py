@@ -1,56 +1,44 @@
 """A diagnosis, stage by stage: each takes what is known, a ``State``, and returns what is known after it.
 
-    refit → search → groups → confirmation → unexplained → discretization → validation → other_holdout → alternatives
-    → units → hidden_starts → report
+    refit → search → groups → confirmation → unexplained → discretization → hidden_starts → validation → other_holdout
+    → alternatives → units → report
 
-``carried_out`` runs them in this order; ``STAGES`` has those between the refit and the report. ``other_holdout`` is a
-second diagnosis, with other trials held out, by the same stages. Where a budget ends a stage, what was known before it
-is reported; where it ends the search, held-out trials still judge what the search had come to.
+``carried_out`` runs them in this order; ``STAGES`` has those between the refit and the report, which is made in
+``diagnosis.reporting``. ``other_holdout`` is a second diagnosis, with other trials held out, by the stages before it.
+Up to it, stages may change what is found; those after it only add to that (``Stage.settles``). Where a budget ends a
+stage, what was known before it is reported; where it ends the search, held-out trials still judge what the search had
+come to.
 """
 
 from __future__ import annotations
 
-import time
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, partial
 
 import numpy as np
 
 from equimus_ctrl.diagnosis.alternatives import listed
-from equimus_ctrl.diagnosis.budget import Budget, BudgetSpent
+from equimus_ctrl.diagnosis.budget import BudgetSpent
 from equimus_ctrl.diagnosis.confirmation import Confirmation, HoldoutResiduals, confirmed, confirmed_as_fitted
 from equimus_ctrl.diagnosis.discretization import step_counted, without_step_error
-from equimus_ctrl.diagnosis.experiment import separating
-from equimus_ctrl.diagnosis.findings import (
-    beyond_range,
-    detectable,
-    equivalents,
-    findings,
-    named_part,
-    notes,
-    ranking,
-    verdict,
-)
-from equimus_ctrl.diagnosis.fitting import Fitted
+from equimus_ctrl.diagnosis.findings import equivalents, named_candidate, named_part, ranking
+from equimus_ctrl.diagnosis.fitting import Data, Fitted
 from equimus_ctrl.diagnosis.holdout import Split
-from equimus_ctrl.diagnosis.hypothesis import Part
-from equimus_ctrl.diagnosis.localization import excess_variances, localise
-from equimus_ctrl.diagnosis.noise_size import noise_sizes
+from equimus_ctrl.diagnosis.hypothesis import Candidate, Part
 from equimus_ctrl.diagnosis.policy import Thresholds
 from equimus_ctrl.diagnosis.refit import nominal_residuals, refit, searched_from_short
-from equimus_ctrl.diagnosis.residuals import ResidualAboveNoise, Residuals, Unexplained
-from equimus_ctrl.diagnosis.results import STATES, Diagnosis, Equivalent
+from equimus_ctrl.diagnosis.residuals import ResidualAboveNoise, Unexplained
+from equimus_ctrl.diagnosis.results import CONFIRMATION, Equivalent
+from equimus_ctrl.diagnosis.search_state import SearchState
 from equimus_ctrl.diagnosis.smooth_laws import analysed, analysed_without, without_redundant
 from equimus_ctrl.diagnosis.state import DiagnosisInputs, State
-from equimus_ctrl.diagnosis.unexplained import not_confirmed, not_on_test
+from equimus_ctrl.diagnosis.unexplained import not_confirmed
 from equimus_ctrl.diagnosis.unit_stages import compare_units, still_apart, tell_apart
 from equimus_ctrl.errors import SimulationDiverged
-from equimus_ctrl.identification.residuals import residuals_of
-from equimus_ctrl.identification.segments import groups_of
 from equimus_ctrl.types import Array
 
-OTHER_SHARE = (0.94, 0.99)
+OTHER_SHARE = (0.88, 0.94)
 """Share of the whole that is done when a diagnosis with other trials held out begins, and when it ends."""
 
 
@@ -64,7 +52,8 @@ class Stage:
         decides: in words.
         label: that progress gives it; "" where it tells by itself, or not at all.
         share: of the whole that is done when it begins.
-        settles: whether findings and unexplained residuals depend on it.
+        settles: whether the verdict, or a finding's name, sizes or intervals, or an unexplained residual may change in
+            it: the verdict is ``unfinished`` without it.
     """
 
     name: str
@@ -93,11 +82,17 @@ def carried_out(inputs: DiagnosisInputs) -> State:
         BudgetSpent: where the budget ends before the model is refitted.
         SimulationDiverged: where the model diverges on every trial.
     """
-    state = refit(inputs)
-    for stage in ORDER:
-        state = stage.after(state)
+    state = _through(inputs, ORDER)
     unconfirmed = state.ended_in and STAGES.index(state.ended_in) <= STAGES.index(CONFIRMATION)
     return confirm_as_fitted(state) if unconfirmed else state
+
+
+def _through(inputs: DiagnosisInputs, order: Sequence[Stage]) -> State:
+    """What is known after the refit and some stages."""
+    state = refit(inputs)
+    for stage in order:
+        state = stage.after(state)
+    return state
 
 
 def find_effects(state: State) -> State:
@@ -137,34 +132,86 @@ def confirm(state: State) -> State:
     """The effects that held-out trials confirm; where they reject one, another that they do confirm."""
     said: dict[str, Confirmation] = {}
     end = confirmed(state.search, state.end, state.inputs.split, said.__setitem__)
+    against = _against(said, end)
     search, end = still_apart(state.search, end, state.inputs.split)
-    return _said(state, replace(state, search=search, end=end), said)
+    return _said(state, replace(state, search=search, end=end), said, against)
 
 
 def confirm_as_fitted(state: State) -> State:
     """The effects that held-out trials confirm, without any further fit."""
     said: dict[str, Confirmation] = {}
     end = confirmed_as_fitted(state.search, state.end, state.inputs.split, said.__setitem__)
-    return _said(state, replace(state, end=end), said)
+    return _said(state, replace(state, end=end), said, _against(said, end))
 
 
-def _said(state: State, after: State, said: Mapping[str, Confirmation]) -> State:
+def _against(said: Mapping[str, Confirmation], end: SearchState) -> dict[str, str]:
+    """What held-out trials say of the effects that they rejected, by their labels."""
+    return {label: str(confirmation) for label, confirmation in said.items() if label not in end.best.labels}
+
+
+def _said(state: State, after: State, said: Mapping[str, Confirmation], against: Mapping[str, str]) -> State:
     """With a decision for each effect that held-out trials confirm or reject, or that is accepted in another's place.
 
     Args:
         state: before.
         after: with what they leave.
         said: by them of each effect, by its label.
+        against: of those that they rejected.
     """
     before, end = state.end.best.labels, after.end
-    for label in sorted(before - end.best.labels):
-        after = after.decided(CONFIRMATION, f"{label} rejected", str(said.get(label, "not needed beside the others")))
+    after = _rejections(state, after, CONFIRMATION, against, "not needed beside the others")
     for label in sorted(end.best.labels - before):
         reason = f"fits in its place, and {said[label]}" if label in said else "fits in its place"
         after = after.decided(CONFIRMATION, f"{label} accepted", reason)
     for label in sorted((end.best.labels & before) & said.keys()):
         after = after.decided(CONFIRMATION, f"{label} confirmed", str(said[label]))
     return after
+
+
+def _rejections(
+    state: State,
+    after: State,
+    stage: str,
+    said: Mapping[str, str],
+    otherwise: str,
+    dropped: Mapping[Part, str] | None = None,
+) -> State:
+    """With each effect that a stage rejected, of the hypothesis before it or of one on the way.
+
+    A law that stays at some of its places is not among them, but what was dropped of it; nor is a richer law that
+    held-out trials do not tell from the one named.
+
+    Args:
+        state: before the stage.
+        after: it.
+        stage: its name.
+        said: reasons, by the labels of effects.
+        otherwise: the reason where there is none.
+        dropped: parts, or what of them was, with the reason.
+    """
+    before, end, gone = state.end.best, after.end, dropped or {}
+    fits = (*end.tried.fitted, before)
+    named = {candidate.label: named_candidate(candidate) for candidate in after.search.pool}
+    named |= {part.candidate.label: named_part(part) for own in fits for part in own.hypothesis}
+    named |= {part.candidate.label: named_part(part) for part in gone}
+    reasons = {**said, **{part.candidate.label: reason for part, reason in gone.items()}}
+    undecided = {own.rich.candidate.label for own in end.undecided}
+    left = {c.label for c in before.candidates if not any(_narrowed_to(c, other) for other in end.best.candidates)}
+    for label in sorted((left | reasons.keys()) - end.best.labels):
+        why = reasons.get(label, otherwise)
+        if label in undecided:
+            after = after.decided(stage, f"{label} undecided", why)
+        elif label in named:
+            after = after.rejecting(stage, named[label], label, why)
+        else:  # of a hypothesis on the way that values of groups have replaced
+            after = after.decided(stage, f"{label} rejected", why)
+    return after
+
+
+def _narrowed_to(candidate: Candidate, other: Candidate) -> bool:
+    """Whether another is a law with a size of its own at each of its places at some of these alone."""
+    same = other.effect is candidate.effect and (other.each or len(other.locations) == 1)
+    return candidate.each and same and set(other.locations) < set(candidate.locations)
 
 
 def explain_residuals(state: State) -> State:
@@ -174,44 +221,36 @@ def explain_residuals(state: State) -> State:
     (``SearchHistory.allows``), so none is both rejected here and part of the end. What was left beside effects
     stays unexplained where without them nothing is: something is missing there, whatever it is.
     """
-    search, end, rejected = state.search, state.end, state.rejected
-    reasons: dict[str, str] = {}
+    search, end, split = state.search, state.end, state.inputs.split
+    rejected, against = dict[Part, str](), dict[str, str]()
     further = search.settings.again
-    analysis = analysed(search, end, state.inputs.split)
+    analysis = analysed(search, end, split)
     while analysis.redundant:
         end, dropped = without_redundant(search, end, analysis)
-        rejected += tuple(named_part(part) for part in dropped)
-        reasons |= {part.candidate.label: reason for part, reason in dropped.items()}
+        rejected |= dropped
         if end.best.hypothesis:
-            end = confirmed(search, search.go_on(end, further=further > 0), state.inputs.split)
-            search, end = still_apart(search, end, state.inputs.split)
+            said: dict[str, Confirmation] = {}
+            end = confirmed(search, search.go_on(end, further=further > 0), split, said.__setitem__)
+            against |= _against(said, end)
+            search, end = still_apart(search, end, split)
             further -= 1
-        analysis = analysed_without(search, end, state.inputs.split, analysis)
-    after = replace(
-        state,
-        search=search,
-        end=end,
-        analysis=analysis,
-        rejected=rejected,
-        ranking=state.ranking or ranking(search, end),
-    )
-    return _explained(after, state.end.best, reasons)
+        analysis = analysed_without(search, end, split, analysis)
+    after = replace(state, search=search, end=end, analysis=analysis, ranking=state.ranking or ranking(search, end))
+    after = _rejections(state, after, "unexplained", against, "not needed beside the rest", rejected)
+    return _explained(after, state.end.best)
 
 
-def _explained(state: State, before: Fitted, reasons: Mapping[str, str]) -> State:
-    """With a decision for each effect that was rejected or accepted beside residual forces, and for each of these.
+def _explained(state: State, before: Fitted) -> State:
+    """With a decision for each effect that was accepted beside residual forces, and for each of these.
 
     Args:
         state: after it.
         before: the hypothesis before it.
-        reasons: why effects were rejected, by their labels.
     """
-    after = state.end.best.labels
-    for label in sorted((before.labels | reasons.keys()) - after):
-        state = state.decided("unexplained", f"{label} rejected", reasons.get(label, "not needed beside the rest"))
-    for label in sorted(after - before.labels):
-        reason = "its gain exceeds the threshold beside the others"
-        state = state.decided("unexplained", f"{label} accepted", reason)
+    for candidate in sorted(state.end.best.candidates, key=lambda c: c.label):
+        if candidate.label not in before.labels and not any(_narrowed_to(c, candidate) for c in before.candidates):
+            reason = "its gain exceeds the threshold beside the others"
+            state = state.decided("unexplained", f"{candidate.label} accepted", reason)
     for residual in state.analysis.unexplained:
         over = f" over {residual.depends_on}" if residual.depends_on else ""
         reason = f"{_size(residual):.4g}, at least {residual.threshold:.4g}"
@@ -225,22 +264,52 @@ def _size(residual: Unexplained) -> float:
 
 
 def take_off_step_error(state: State) -> State:
-    """The same without the discretisation error, where that changes findings or unexplained residuals."""
+    """The same without the discretisation error, where that changes findings or unexplained residuals.
+
+    Where it does not, intervals count it.
+    """
     exact = without_step_error(state.search, state.end, state.analysis, state.inputs.split)
     if exact is None:
-        return state
+        return replace(state, end=step_counted(state.data, state.end))
     after = replace(
         state,
         search=exact.search,
         end=exact.end,
         nominal=nominal_residuals(state.inputs, exact.search.data),
         analysis=exact.analysis,
-        rejected=(*state.rejected, *map(named_part, exact.rejected)),
         coarse=exact.sentence,
     )
-    for part, reason in exact.rejected.items():
-        after = after.decided("discretization", f"{part.candidate.label} rejected", reason)
+    otherwise = "without the error of the physics step it gains too little"
+    after = _rejections(state, after, "discretization", {}, otherwise, exact.rejected)
     return after.decided("discretization", "worked out without the step's error", exact.sentence)
+
+
+def lead_by_fit(state: State) -> State:
+    """The end's parameters where the motion that each fit predicts leads to what no sensor shows at starts.
+
+    What is fitted from here on is what the end was fitted to. Alternatives are compared as they were before.
+    """
+    end = state.end
+    data, best = state.data.led_by_fit(end.best)
+    if best is end.best:
+        return state
+    led = {end.best: best}
+    for fitted in end.without:
+        if fitted not in led:
+            led[fitted] = state.data.led_by_fit(fitted)[1]
+    new = [fitted for fitted, own in led.items() if own is not fitted and fitted in (end.best, end.base)]
+    told = {fitted: led[fitted] if state.coarse else _step_counted(data, led[fitted]) for fitted in new}
+    without = tuple(led[fitted] for fitted in end.without)
+    after = replace(end, best=told[end.best], base=told.get(end.base, end.base), without=without)
+    search = replace(state.search, data=data)
+    state = replace(state, search=search, end=after, compared=(state.search, end))
+    reason = f"−2 log likelihood falls by {end.best.deviance - best.deviance:.4g}"
+    return state.decided("hidden_starts", "what no sensor shows at starts follows from the fitted motion", reason)
+
+
+def _step_counted(data: Data, fitted: Fitted) -> Fitted:
+    """A fit with intervals in which the error of the engine's step is counted."""
+    return step_counted(data, SearchState(fitted, fitted)).best
 
 
 def validate(state: State) -> State:
@@ -255,7 +324,7 @@ def validate(state: State) -> State:
     if state.analysis.unexplained:
         return state
     analysis = not_confirmed(state.data, best, split.validation, residuals)
-    return _far_above_noise(replace(state, analysis=analysis), "validation", "held-out error")
+    return decided_above_noise(replace(state, analysis=analysis), "validation", "held-out error")
 
 
 def _failed(state: State, residuals: Sequence[Array]) -> str:
@@ -273,7 +342,7 @@ def _far_worse(times: float, t: Thresholds) -> bool:
     return times > t.failed
 
 
-def _far_above_noise(state: State, stage: str, error: str) -> State:
+def decided_above_noise(state: State, stage: str, error: str) -> State:
     """With a decision for each joint whose residuals are far above the noise."""
     for residual in state.analysis.unexplained:
         reason = f"{error} {_size(residual):.3g} times the noise's variance"
@@ -285,8 +354,11 @@ def repeat_with_other_holdout(state: State) -> State:
     """A second diagnosis, with other trials held out, where those held out show what the others do not.
 
     What they alone show cannot be explained while they are not fitted. The second counts if it leaves nothing
-    unexplained, neither on its validation trials nor on the test set, which is the same. Not where somebody said which
-    trials are held out.
+    unexplained, by its own validation trials; the test set, which is the same, has no say. Not where somebody said
+    which trials are held out.
+
+    Raises:
+        BudgetSpent: where the budget ends before the second diagnosis has come as far as the first.
     """
     inputs, residuals = state.inputs, state.analysis.unexplained
     alone = [r for r in residuals if isinstance(r, ResidualAboveNoise) and r.only_on == "validation"]
@@ -296,18 +368,23 @@ def repeat_with_other_holdout(state: State) -> State:
     names = _names(inputs.split), _names(other.split)
     rejected = f"held out instead: {names[1]}; rejected"
     try:
-        second = tested(carried_out(other))
-    except (SimulationDiverged, BudgetSpent):
-        return state.decided("other_holdout", rejected, "the diagnosis without them could not be carried out")
-    if second.analysis.unexplained or second.ended_in:
-        return state.decided("other_holdout", rejected, "that diagnosis leaves residuals unexplained, or was ended")
+        second = _through(other, ORDER[: STAGES.index(OTHER_HOLDOUT)])
+    except SimulationDiverged:
+        return state.decided(OTHER_HOLDOUT, rejected, "the diagnosis without them could not be carried out")
+    if second.ended_in:
+        raise BudgetSpent
+    told = (*state.decisions, *(replace(decision, other_holdout=True) for decision in second.decisions))
+    if second.analysis.unexplained or second.failed:
+        reason = second.failed or "that diagnosis leaves residuals unexplained"
+        return replace(state, decisions=told).decided(OTHER_HOLDOUT, rejected, reason)
     note = (
         f"{names[0]}, held out at first, showed what the other trials do not; so they were fitted, and {names[1]} "
         "judged."
     )
-    second = replace(second, inputs=replace(other, progress=inputs.progress), notes=(*second.notes, note))
+    own = replace(other, progress=inputs.progress)
+    second = replace(second, inputs=own, decisions=told, notes=(*second.notes, note))
     reason = f"held out, {names[0]} showed what the other trials do not"
-    return second.decided("other_holdout", f"held out instead: {names[1]}", reason)
+    return second.decided(OTHER_HOLDOUT, f"held out instead: {names[1]}", reason)
 
 
 def _other_inputs(inputs: DiagnosisInputs) -> DiagnosisInputs | None:
@@ -329,35 +406,22 @@ def _names(split: Split) -> str:
 
 
 def find_alternatives(state: State) -> State:
-    """What fits as well in each effect's place; intervals in which the error of the engine's step is counted.
+    """What fits as well in each effect's place.
 
-    What fits better there is told and takes no effect's place: no held-out trial has judged it.
+    What fits better there is told and takes no effect's place: no held-out trial has judged it. Fits are compared in
+    which the measured motion leads to what no sensor shows at starts, of the end as of the others.
     """
-    if state.equivalent is not None:  # the diagnosis with other trials held out has looked
-        return state
-    end = listed(state.search, state.end)
-    if not state.coarse:
-        end = step_counted(state.data, end)
-    finely = cache(state.data.converge_finely)
-    found = equivalents(state.search, end, bool(state.analysis.unexplained), finely)
-    state = replace(state, end=end, equivalent=tuple(tuple(o for o in others if not o.better) for others in found))
+    search, end = state.compared or (state.search, state.end)
+    end = listed(search, end)
+    finely = cache(search.data.converge_finely)
+    found = equivalents(search, end, bool(state.analysis.unexplained), finely)
+    listed_end = replace(state.end, alternatives=end.alternatives, tried=end.tried)
+    known = tuple(tuple(o for o in others if not o.better) for others in found)
+    state = replace(state, end=listed_end, equivalent=known)
     for part, others in zip(end.best.hypothesis, found, strict=True):
         for other in (o for o in others if o.better):
             state = _told_better(state, part, other)
     return state
-
-
-def lead_by_fit(state: State) -> State:
-    """The end's parameters where the motion that each fit predicts leads to what no sensor shows at starts."""
-    data, end = state.data, state.end
-    best = data.led_by_fit(end.best)
-    if best is end.best:
-        return state
-    without = tuple(best if fitted is end.best else data.led_by_fit(fitted) for fitted in end.without)
-    base = best if end.base is end.best else end.base
-    reason = f"−2 log likelihood falls by {end.best.deviance - best.deviance:.4g}"
-    state = replace(state, end=replace(end, best=best, base=base, without=without))
-    return state.decided("hidden_starts", "what no sensor shows at starts follows from the fitted motion", reason)
 
 
 def _told_better(state: State, part: Part, other: Equivalent) -> State:
@@ -368,18 +432,18 @@ def _told_better(state: State, part: Part, other: Equivalent) -> State:
     return state.decided("alternatives", f"{other.named} fits better than {part.candidate.label}", reason)
 
 
-CONFIRMATION = "confirmation"
+OTHER_HOLDOUT = "other_holdout"
 ORDER = (
     Stage("search", find_effects, "more effects"),
     Stage("groups", tell_apart, "what differs between groups of trials"),
     Stage(CONFIRMATION, confirm, "what held-out trials confirm in place of others", "held-out trials", 0.82),
     Stage("unexplained", explain_residuals, "what remains unexplained", "residual forces", 0.86),
     Stage("discretization", take_off_step_error, "the error of the physics step"),
+    Stage("hidden_starts", lead_by_fit, "what the fitted motion leads to at starts of intervals"),
     Stage("validation", validate, "whether the error on held-out trials is above the noise"),
-    Stage("other_holdout", repeat_with_other_holdout, "what other held-out trials would show", settles=False),
+    Stage(OTHER_HOLDOUT, repeat_with_other_holdout, "what other held-out trials would show"),
     Stage("alternatives", find_alternatives, "what fits as well in an effect's place", "evidence", 0.94, settles=False),
     Stage("units", compare_units, "whether parameters differ from the nominal ones", settles=False),
-    Stage("hidden_starts", lead_by_fit, "what the fitted motion leads to at starts of intervals", settles=False),
 )
 STAGES = tuple(stage.name for stage in ORDER)
 """What follows the refit, in order."""
@@ -390,78 +454,6 @@ def skipped(state: State) -> tuple[Stage, ...]:
     return ORDER[STAGES.index(state.ended_in) :] if state.ended_in else ()
 
 
-def tested(state: State) -> State:
-    """Joints whose residuals on the test set alone are far above the noise: told, and nothing is chosen by it."""
-    if state.analysis.unexplained or state.ended_in:
-        return state
-    test, best = state.inputs.split.test, state.end.best
-    residuals = residuals_of(best.fit.model, test, state.data.simulator)
-    analysis = not_on_test(state.data, best, test, residuals)
-    return _far_above_noise(replace(state, analysis=analysis), "report", "error on the test set")
-
-
-def report(state: State) -> Diagnosis:
-    """The findings with evidence and intervals, and the rest of the report, which no budget ends."""
-    state = tested(replace(state, search=replace(state.search, data=replace(state.data, budget=Budget()))))
-    inputs, search, end, unexplained = state.inputs, state.search, state.end, state.analysis.unexplained
-    data, split, model = state.data, inputs.split, inputs.nominal
-    sigma = noise_sizes(data.segments, end.best, data.thresholds)[: len(end.best.fit.rmse)]
-    holdout, equivalent = HoldoutResiduals(data, split, end), state.equivalent or ()
-    told = findings(search, end, holdout, equivalent)
-    if state.failed:
-        told = tuple(replace(finding, undetermined=state.failed) for finding in told)
-    named, undetermined = ([f for f in told if bool(f.undetermined) is side] for side in (False, True))
-    for finding in undetermined:
-        state = state.decided("report", f"{finding.named} not named", finding.undetermined)
-    residuals = _residuals(state, holdout)
-    inputs.progress("done", 1.0, end.best.label)
-    return Diagnosis(
-        verdict=verdict(named, bool(unexplained or undetermined), not any(stage.settles for stage in skipped(state))),
-        model=model,
-        refitted=end.base.fit.model,
-        corrected=end.best.fit.model,
-        base=end.base,
-        best=end.best,
-        train=split.train,
-        validation=split.validation,
-        test=split.test,
-        residuals=residuals,
-        sigma=sigma,
-        where=localise(model, split.train, end.base.fit.residuals, sigma),
-        findings=tuple(named),
-        undetermined=tuple(undetermined),
-        unexplained=unexplained,
-        rejected=state.rejected,
-        ranking=state.ranking or ranking(search, end),
-        detectable=() if told or unexplained or state.ended_in else detectable(search, end),
-        experiment=None if state.ended_in else separating(data, end, named, equivalent, inputs.designs),
-        excess_variance={name: float(excess_variances(residuals[name].train, sigma).mean()) for name in STATES},
-        notes=(
-            *notes(end, split, inputs.settings.exclude, [stage.decides for stage in skipped(state)]),
-            *beyond_range(model, split),
-            *([state.coarse] if state.coarse else []),
-            *state.notes,
-        ),
-        seconds=time.perf_counter() - inputs.begun,
-        decisions=state.decisions,
-        not_done=tuple(stage.name for stage in skipped(state)),
-        groups=groups_of((*split.train, *split.validation)),
-        differences=state.differences,
-        another_unit=state.another_unit,
-    )
-
-
-def _residuals(state: State, holdout: HoldoutResiduals) -> dict[str, Residuals]:
-    """Of each of ``STATES`` on the trials fitted, on those for validation and on those of the test set."""
-    end, test, simulator = state.end, state.inputs.split.test, state.data.simulator
-    nj = len(state.inputs.data.free.model.robot.joint_names)
-    models = state.inputs.nominal, end.base.fit.model, end.best.fit.model
-
-    def of_joints(residuals: Iterable[Array]) -> tuple[Array, ...]:
-        return tuple(r[:, :nj] for r in residuals)
-
-    fitted = state.nominal, end.base.fit.residuals, end.best.fit.residuals
-    return {
-        name: Residuals(*map(of_joints, (train, holdout.residuals(model), residuals_of(model, test, simulator))))
-        for name, model, train in zip(STATES, models, fitted, strict=True)
-    }
+def settled(state: State) -> bool:
+    """Whether all stages were carried out that the verdict depends on."""
+    return not any(stage.settles for stage in skipped(state))

@@ -10,12 +10,7 @@ from equimus_ctrl.diagnosis.experiment import Designs
 from equimus_ctrl.diagnosis.fitting import Data, Fitted
 from equimus_ctrl.diagnosis.holdout import Split
 from equimus_ctrl.diagnosis.policy import SearchSettings, Thresholds
-from equimus_ctrl.diagnosis.results import (
-    Decision,
-    Equivalent,
-    Named,
-    Ranked,
-)
+from equimus_ctrl.diagnosis.results import Decision, Equivalent, Named, Ranked, Rejected
 from equimus_ctrl.diagnosis.search import Search
 from equimus_ctrl.diagnosis.search_state import SearchState
 from equimus_ctrl.diagnosis.unexplained import ResidualAnalysis
@@ -25,6 +20,18 @@ from equimus_ctrl.types import Array
 
 Progress = Callable[[str, float, str], None]
 """Called with the stage, the share of the whole that is done, and the best hypothesis so far."""
+
+
+def forward(progress: Progress) -> Progress:
+    """The same, whose share never falls: stages know of their own part of the whole alone."""
+    most = 0.0
+
+    def told(stage: str, share: float, best: str) -> None:
+        nonlocal most
+        most = max(most, share)
+        progress(stage, most, best)
+
+    return told
 
 
 @dataclass(frozen=True)
@@ -79,14 +86,16 @@ class State:
 
     Attributes:
         inputs: what is asked.
-        search: that goes on from where it is.
-        end: of the search, so far.
+        search: what goes on from ``end``: data, candidates and settings.
+        end: where the search has come to.
         short: the model fitted to short shooting intervals, where residuals are large; else None.
         nominal: for each segment fitted (m, nj) the residuals of the nominal model [rad or m].
-        analysis: of what the end leaves unexplained.
-        rejected: effects that were rejected, for a residual force explains as much.
+        analysis: the residuals that the end leaves unexplained.
+        rejected: parts of hypotheses so far that a stage rejected.
         ranking: all candidates, alone.
         coarse: a sentence on the engine's step, where its error was taken off; "" else.
+        compared: search and end before ``hidden_starts``, where that changed the fit: other hypotheses are fitted and
+            compared there, measured motion leading to starts of all alike; None where they are ``search`` and ``end``.
         equivalent: for each part of the hypothesis what fits as well in its place; None where nobody looked.
         notes: what else a person ought to know.
         decisions: of the stages so far.
@@ -102,9 +111,10 @@ class State:
     short: Fitted | None
     nominal: tuple[Array, ...]
     analysis: ResidualAnalysis = field(default_factory=ResidualAnalysis)
-    rejected: tuple[Named, ...] = ()
+    rejected: tuple[Rejected, ...] = ()
     ranking: tuple[Ranked, ...] = ()
     coarse: str = ""
+    compared: tuple[Search, SearchState] | None = None
     equivalent: tuple[tuple[Equivalent, ...], ...] | None = None
     notes: tuple[str, ...] = ()
     decisions: tuple[Decision, ...] = ()
@@ -127,3 +137,8 @@ class State:
     def decided(self, stage: str, decision: str, reason: str) -> State:
         """The same with one more decision."""
         return replace(self, decisions=(*self.decisions, Decision(stage, decision, reason)))
+
+    def rejecting(self, stage: str, named: Named, label: str, reason: str) -> State:
+        """The same with one more effect rejected, and the decision."""
+        after = replace(self, rejected=(*self.rejected, Rejected(named, stage, reason)))
+        return after.decided(stage, f"{label} rejected", reason)

@@ -30,10 +30,10 @@ ABOUT = 0.9
 """A search begins with the simplest law that gains this share of what the best one does: measured angles bias gains in
 the torque domain by a few per cent. Richer laws are tried in its place by simulation."""
 BEHIND = 0.05
-"""Candidates that explain less than this share of what the best one does are not simulated in this round,"""
+"""Candidates that explain less than this share of what the best one does are not simulated in this round, but for the
+``AT_LEAST`` best. It saves time: where the best one is accepted, the rest is looked at beside it."""
 AT_LEAST = 12
-"""unless they are among so many best ones. Both save time: where the best one is accepted, the rest is looked at beside
-it."""
+"""So many best candidates are simulated in a round, however little they explain."""
 SURE = 3.0
 """Standard errors by which a law's own size at a place has to differ from nothing, for a search to begin with it: on
 noise one place in 370 does."""

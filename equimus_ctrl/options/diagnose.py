@@ -45,7 +45,7 @@ class DiagnoseOptions:
         select: patterns of the names of the trials to use; all by default.
         validation: patterns of the names of trials by which effects are confirmed or rejected; see
             ``diagnosis.holdout.split`` for the default.
-        test: patterns of the names of trials that no fit and no choice sees.
+        test: patterns of the names of trials whose errors no fit and no choice sees.
         until: of every trial only what comes before this time is fitted; the rest is held out [s].
         window: (from, to) of each trial that counts at all [s].
         shoot: length of multiple-shooting intervals where nothing holds the robot in place [s]; see
@@ -74,7 +74,7 @@ class DiagnoseOptions:
     test: Sequence[str] = option(
         (),
         NAMES,
-        "Trials that no fit and no choice sees, by name; by default half of every fourth, from 8 trials on.",
+        "Trials whose errors no fit and no choice sees, by name; by default half of every fourth, from 8 trials on.",
         metavar="PATTERN",
     )
     until: float | None = option(

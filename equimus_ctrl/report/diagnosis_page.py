@@ -68,10 +68,11 @@ METHOD = (
     "Every effect of the catalogue is screened at every place by the component of its response that is orthogonal to "
     "the Jacobian of the parameters, unless inverse dynamics along the measured motion leave it far behind. The best "
     "are fitted by simulation together with all parameters, in sets, forward, backward and exchanged.",
-    "An effect is accepted only where its gain exceeds the threshold for the best of all candidates, where held-out "
-    "trials confirm it, and where no unstructured residual force explains as much.",
-    "The remaining residuals are searched for generalised forces that depend on angles, speeds, lengths, pressures or "
-    "time. Intervals are of 95 %; nominal is the model before refitting.",
+    "An effect is accepted only where its gain exceeds the threshold for the best of all candidates and stands out "
+    "from the scatter of the residuals, where validation trials confirm it, where inverse dynamics along the measured "
+    "motion show it as far as there are any, and where no unstructured residual force explains as much.",
+    "The remaining residuals are searched for generalised forces that depend on what moves, on commands or on time. "
+    "Intervals are of 95 %; nominal is the model before refitting.",
 )
 """What is done after the refit, see ``_method``."""
 
@@ -92,6 +93,7 @@ def page(diagnosis: Diagnosis, title: str, command_line: str = "") -> str:
         ("units", "Units", _units(diagnosis)),
         ("trials", "Before and after", _before_after(diagnosis, figures)),
         ("unexplained", "Unexplained residuals", _unexplained(diagnosis, figures)),
+        ("rejected", "Rejected effects", _rejected(diagnosis)),
         ("confounded", "Not distinguishable", _not_distinguishable(diagnosis)),
         ("parameters", "Model parameters", _parameters(diagnosis)),
         ("candidates", "All candidates", _candidates(diagnosis, figures)),
@@ -264,7 +266,19 @@ def _unexplained(diagnosis: Diagnosis, figures: dict[str, Figure]) -> str:
 def _decisions(diagnosis: Diagnosis) -> str:
     if not diagnosis.decisions:
         return ""
-    return _table(("stage", "decision", "reason"), [(d.stage, d.decision, d.reason) for d in diagnosis.decisions], 3)
+    rows = [
+        (f"{d.stage}, other trials held out" if d.other_holdout else d.stage, d.decision, d.reason)
+        for d in diagnosis.decisions
+    ]
+    return _table(("stage", "decision", "reason"), rows, 3)
+
+
+def _rejected(diagnosis: Diagnosis) -> str:
+    if not diagnosis.rejected:
+        return ""
+    text = "<p>Each was part of a hypothesis until a stage spoke against it.</p>"
+    rows = [(short(own.named, diagnosis.model), own.stage, own.reason) for own in diagnosis.rejected]
+    return text + _table(("effect", "stage", "reason"), rows, 3)
 
 
 def _not_distinguishable(diagnosis: Diagnosis) -> str:
@@ -298,7 +312,7 @@ def _candidates(diagnosis: Diagnosis, figures: dict[str, Figure]) -> str:
     if not diagnosis.ranking:
         return ""
     model, found = diagnosis.model, diagnosis_text.grouped(diagnosis.findings)
-    marks = dict.fromkeys(diagnosis.rejected, "fits best, rejected")
+    marks = {own.named: f"rejected ({own.stage})" for own in diagnosis.rejected}
     marks |= {
         other: f"not distinguishable from {short(law.named, model)}"
         for law in found

@@ -12,6 +12,7 @@ from equimus_ctrl.diagnosis import display_units
 from equimus_ctrl.diagnosis.display_units import Reading
 from equimus_ctrl.diagnosis.residuals import ResidualAboveNoise, Unexplained
 from equimus_ctrl.diagnosis.results import (
+    CONFIRMATION,
     SETS,
     STATES,
     Detectable,
@@ -140,12 +141,22 @@ def verdict(diagnosis: Diagnosis) -> str:
     count = COUNTS[n] if n < len(COUNTS) else n
     effects = f"{count} {'effect' if n == 1 else 'effects'} missing from the model: {what}"
     if diagnosis.verdict == "unfinished":
-        return f"Unfinished: so far {effects if n else 'no missing effect was found'}, not confirmed."
+        so_far = f"{effects}; {_judged(diagnosis, 'it' if n == 1 else 'them')}" if n else "no missing effect was found"
+        ended = f"Unfinished, ended in the stage {diagnosis.not_done[0]}"
+        return f"{ended}: so far {so_far}. The notes say what was not looked at."
     if diagnosis.verdict == "explained":
         return f"Explained: {effects}."
     if not diagnosis.unexplained:
         return f"Partly explained: {effects}; what fits beside is not identifiable from these recordings."
     return f"Partly explained: {effects}; further residuals are none of the known effects."
+
+
+def _judged(diagnosis: Diagnosis, what: str) -> str:
+    """What held-out trials say of the findings of a diagnosis that was ended."""
+    if not diagnosis.validation:
+        return f"nothing was held out to confirm {what}"
+    fitted = " as fitted by then" if CONFIRMATION in diagnosis.not_done else ""
+    return f"validation trials confirm {what}{fitted}"
 
 
 def states(diagnosis: Diagnosis) -> tuple[str, ...]:
@@ -252,7 +263,7 @@ def headline(diagnosis: Diagnosis) -> str:
     text = f"the error {'changes by' if diagnosis.findings else 'is'} {what}"
     n = len({s.recording for s in segments})
     who = f"On the {part} trial" if n == 1 else f"On the {n} {part} trials"
-    seen = "no fit and no choice has seen" if part == "test" else "no fit has seen, though choices have"
+    seen = "no fit has seen and no choice was judged by" if part == "test" else "no fit has seen, though choices have"
     return f"{who}, which {seen}, {text}."
 
 
@@ -288,13 +299,15 @@ def share_alone(share: float) -> str:
 
 
 def remains(diagnosis: Diagnosis) -> list[str]:
-    """What none of the findings explains, and effects that were rejected because of it."""
+    """What none of the findings explains, and what fits and is not identifiable."""
     lines = [_unexplained(residual, diagnosis.model) for residual in diagnosis.unexplained]
     lines += [f"{upper(short(f.named, diagnosis.model))} fits, but {f.undetermined}." for f in diagnosis.undetermined]
-    if diagnosis.rejected:
-        named = listed([short(named, diagnosis.model) for named in diagnosis.rejected])
-        lines.append(f"Of the known effects, {named} fits best, but no better than an unstructured residual force.")
     return lines
+
+
+def rejected(diagnosis: Diagnosis) -> list[str]:
+    """Effects that were part of a hypothesis and were rejected, with the reason and the stage."""
+    return [f"{upper(short(own.named, diagnosis.model))}: {own.reason} ({own.stage})." for own in diagnosis.rejected]
 
 
 def _unexplained(residual: Unexplained, model: Model) -> str:
@@ -429,6 +442,7 @@ def print_diagnosis(console: Console, diagnosis: Diagnosis) -> None:
         say(text, style="bold")
     listing("", departures(diagnosis))
     listing("Unexplained residuals", remains(diagnosis))
+    listing("Rejected effects, with the reason (and the stage)", rejected(diagnosis))
     listing("Not distinguishable from these recordings", not_distinguishable(diagnosis))
     if diagnosis.experiment is not None:
         say(separating(diagnosis.experiment))

@@ -11,11 +11,11 @@ from equimus_ctrl.diagnosis import preflight
 from equimus_ctrl.diagnosis.budget import Asked, never
 from equimus_ctrl.diagnosis.diagnose import DiagnosisSettings, Progress, diagnose
 from equimus_ctrl.diagnosis.experiment import Design
-from equimus_ctrl.diagnosis.holdout import check_settings, split
+from equimus_ctrl.diagnosis.holdout import check_settings, never_held_out, split
 from equimus_ctrl.diagnosis.hypothesis import default_free_parameters
 from equimus_ctrl.diagnosis.policy import SearchSettings
 from equimus_ctrl.diagnosis.results import Diagnosis
-from equimus_ctrl.diagnosis.servo_gains import servo_gains, told, with_servo_gains
+from equimus_ctrl.diagnosis.servo_gains import ServoGain, servo_gains, told, with_servo_gains
 from equimus_ctrl.engines.predict import check_columns
 from equimus_ctrl.errors import ConfigError, EquimusError
 from equimus_ctrl.models.model import Model, nominal_model
@@ -69,7 +69,18 @@ def diagnose_recordings(
         check_columns(model, trial)
     preflight.check(model, trials)
     chosen = default_free_parameters(model, options.free, options.bounds, options.fix)
-    gains = servo_gains(model, trials) if options.free is None else ()
+    gains: tuple[ServoGain, ...] = ()
+    if options.free is None:
+        fitted = never_held_out(
+            model,
+            trials,
+            validation=options.validation,
+            test=options.test,
+            until=options.until,
+            window=options.window,
+            groups=groups,
+        )
+        gains = servo_gains(model, fitted)
     chosen = with_servo_gains(chosen, gains, options.bounds, options.fix)
     parts = split(
         chosen.model_at(chosen.start) if gains else model,
