@@ -299,10 +299,29 @@ def test_a_robot_with_contacts_is_held_in_mujoco() -> None:
     """On the floor it needs no force; 0.15 m up it needs its weight."""
     plant = MujocoPlant(Model(BOUNCER), noise=1e-4)
     own = SamplingController(replace(FEW, samples=16, horizon=0.3))
-    done = run(plant, own, HoldReference([0.15]), 1.5, start=Start(command=[0.0], position=[-0.1]))
+    done = run(plant, own, HoldReference([0.15]), 1.5, start=Start(command=[0.0], position=[-0.102]))
     assert done.truth is not None and abs(done.truth[-20:].mean() - 0.15) < 0.02
     assert done.command[-20:].mean() == pytest.approx(9.81, rel=0.1)
     assert done.note == "plans are rolled out by the XML in MuJoCo: it has contacts (floor may touch ball)"
+
+
+def test_what_touches_on_the_way_is_told() -> None:
+    plant = MujocoPlant(Model(BOUNCER))
+    plant.reset(Start(command=[0.0], position=[0.0]))
+    assert plant.touched == ""
+    while plant.position[0] > -0.099:  # 0.1 m down in 0.14 s
+        plant.step([0.0])
+    plant.step([0.0])
+    assert plant.touched in {f"floor touches ball at {time:.3g} s" for time in (0.14, 0.145)}
+    plant.reset(Start(command=[0.0], position=[0.0]))
+    assert plant.touched == ""
+    done = workflow.run_scenario(
+        Scenario("fall", "", 0.3, HoldReference([0.0]), start=Start(command=[0.0], position=[0.0])),
+        lambda observation, reference: np.zeros(1),
+        model=Model(BOUNCER),
+    )
+    assert done.run.note.startswith("floor touches ball at 0.14")
+    assert "contacts are in no equations of motion" in done.run.note
 
 
 def test_a_servo_follows_a_step() -> None:
@@ -375,17 +394,20 @@ def test_where_it_is_to_go_is_asked_for() -> None:
     assert "expected more than 0" in refusal(lambda: built(CARTPOLE.robot, within="0"))
 
 
-@pytest.mark.parametrize(("model", "kind"), [
-    (CARTPOLE, PolicyState), (Model(BOUNCER), PolicyState), (Model(RIG), SamplingState), (nominal_model(), SamplingState),
+@pytest.mark.parametrize(("model", "begins", "kind"), [
+    (CARTPOLE, None, PolicyState), (Model(BOUNCER), [-0.102], PolicyState), (Model(BOUNCER), [0.1], SamplingState),
+    (Model(RIG), None, SamplingState), (nominal_model(), None, SamplingState),
 ], ids=lambda own: getattr(own, "name", ""))  # fmt: skip
-def test_one_file_is_for_every_robot_and_what_plans_are_follows_from_it(model: Model, kind: type) -> None:
+def test_one_file_is_for_every_robot_and_what_plans_are_follows_from_it(
+    model: Model, begins: list[float] | None, kind: type
+) -> None:
     path = presets.find("controllers", "sampling.toml")
     assert path is not None
     table = {**presets.read_toml(path), "compiled": False, "samples": 8}
     assert SamplingSettings.from_dict(presets.read_toml(path)) == SamplingSettings()
     plant = MujocoPlant(model)
     own = make_controller("sampling", table, robot=model.robot, chosen=True)
-    seen = plant.reset(seed=0)
+    seen = plant.reset(Start(position=begins), seed=0)
     pose = HoldReference(seen.position)
     command, state = own.step(seen, pose, own.init(plant.spec, seen))
     assert isinstance(state, kind) and np.isfinite(command).all()

@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from typing import Any, Literal, TypeVar
+from typing import Any, Literal, Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,14 +20,14 @@ from equimus_ctrl.controllers.allowances import allowances
 from equimus_ctrl.controllers.inverse import Inverse, InverseState, Target
 from equimus_ctrl.controllers.lqr import CALM, LqrSettings, Schedule, waiting
 from equimus_ctrl.controllers.preview import Ahead, Preview, Sight
-from equimus_ctrl.controllers.valve_estimation import bank_of
+from equimus_ctrl.controllers.valve_estimation import ValveEstimation, bank_of
 from equimus_ctrl.errors import ConfigError, ControllerError
 from equimus_ctrl.estimation.observer import Estimate, Observer, ObserverSettings, ObserverState, require_model
 from equimus_ctrl.models.linear import valve_lag
 from equimus_ctrl.models.prediction import Prediction, prediction
 from equimus_ctrl.models.solved import valves_of
 from equimus_ctrl.predictive.costs import Wanted, Weights
-from equimus_ctrl.settings import OTHERS, PRESSURES, setting
+from equimus_ctrl.settings import OTHERS, PRESSURES, both, setting
 from equimus_ctrl.types import Array, Observation, PlantSpec, Reference, frozen_array
 
 Status = Literal["converged", "iterated", "sampled", "shifted", "lqr", "hold"]
@@ -54,6 +54,8 @@ class HorizonSettings:
         deadline: what is not solved by then after the step began falls back [s]; 0 for no deadline, as in simulation,
             where a run is to give the same bits each time.
         disturbance: whether torques that the observer cannot explain are taken to last.
+        estimate_valves: whether dead times and lags up to the usual ones are found that nobody told of, see
+            ``controllers.valve_estimation``.
         spacing: of the grid of poses that the regulator behind the horizon is worked out at [rad].
         start_time: over which the first pose fades out of the reference, where every joint has an actuator [s].
         compiled: whether a C compiler is used where there is one.
@@ -72,6 +74,7 @@ class HorizonSettings:
     pressure_rate: float = setting(0.0, PRESSURES)
     deadline: float = 0.0
     disturbance: bool = True
+    estimate_valves: bool = True
     spacing: float = 0.2
     start_time: float = 0.3
     compiled: bool = True
@@ -132,7 +135,11 @@ class HorizonState:
         reason: why it fell back; empty where it did not.
         under_way: for each actuator commands beyond what the reference asked for, the next to arrive first [Pa].
         expected: what an iteration is known to take, where there is a deadline [s].
-        note: where allowances come from; empty where settings say them.
+        note: where allowances come from, or what was found of the valves; empty where settings say all.
+        plan: the latest one, or None.
+        tools: made for the plant, and its valves, once.
+        estimation: of valves; None where there is none.
+        watched: what its observer remembers.
     """
 
     observer: ObserverState
@@ -143,6 +150,10 @@ class HorizonState:
     under_way: tuple[Array, ...]
     expected: float
     note: str
+    plan: Any
+    tools: Any
+    estimation: ValveEstimation[Any] | None
+    watched: ObserverState | None
 
     @property
     def fell_back(self) -> bool:
@@ -410,6 +421,60 @@ class Horizon:
             scale = np.concatenate([np.broadcast_to(x, nj) for x in (self.weights.angle, self.weights.rate)])
             last[np.diag_indices(2 * nj)] = math.sqrt(self.durations[-1]) / scale
         return last
+
+
+class Planning(Protocol):
+    """What is made once for a plant, or for one hypothesis about its valves."""
+
+    @property
+    def horizon(self) -> Horizon: ...
+    @property
+    def observer(self) -> Observer: ...
+
+
+AnySettings = TypeVar("AnySettings", bound=HorizonSettings)
+
+
+def begun(
+    make: Callable[[PlantSpec, AnySettings, bool], Planning],
+    spec: PlantSpec,
+    settings: AnySettings,
+    observation: Observation,
+    said: str = "",
+) -> dict[str, Any]:
+    """The fields of a ``HorizonState`` for a robot that has long been at rest, without a plan.
+
+    Args:
+        make: tools of a spec and settings; the last says whether they are the first, with a bank of valves and all that
+            can be prepared before the robot moves.
+        spec: of the plant.
+        settings: of the controller.
+        observation: the first.
+        said: of the settings, for a person to read.
+    """
+    tools = make(spec, settings, True)
+    own = tools.horizon.begin(observation)
+    own["note"] = both(said, own["note"])
+    bank, estimation = tools.observer.bank, None
+    if bank is not None:
+        # Lags make other functions, which are interpreted: a robot does not wait until a compiler is done.
+        plain = replace(settings, compiled=settings.compiled and not bank.lags)
+        estimation = ValveEstimation(spec, tools, lambda later: make(later, plain, False), own["note"])
+    watched = None if bank is None else own["observer"]
+    return {**own, "plan": None, "tools": tools, "estimation": estimation, "watched": watched}
+
+
+def found_out(observation: Observation, state: AnyState) -> tuple[AnyState, ObserverState | None]:
+    """With the tools for the likeliest valves, and what their observer remembers by now; None without a bank."""
+    if state.estimation is None or state.watched is None:
+        return state, None
+    estimation = state.estimation
+    found = estimation.look(observation, state.tools, state.observer, state.watched)
+    state = replace(state, watched=found.watched)
+    if found.changed:
+        taken, note = found.tools.horizon.taken_over(state), estimation.note(found.watched)
+        state = replace(state, tools=found.tools, plan=None, note=note, **taken)
+    return state, found.observer
 
 
 class Pace:

@@ -16,11 +16,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from equimus_ctrl.controllers import sampling_policies
-from equimus_ctrl.controllers.horizon import Horizon, HorizonState, Outlook, Pace
+from equimus_ctrl.controllers.horizon import Horizon, HorizonState, Outlook, Pace, begun, found_out
 from equimus_ctrl.controllers.sampling_policies import PolicyState, Waiting
 from equimus_ctrl.controllers.sampling_settings import LOOKS, SamplingSettings, kind_of, there_of
 from equimus_ctrl.errors import ConfigError
-from equimus_ctrl.estimation.observer import require_model
+from equimus_ctrl.estimation.observer import Observer, require_model
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.predictive.costs import Wanted, costs
 from equimus_ctrl.predictive.rollouts import Rollouts, make_rollouts, members_of
@@ -63,13 +63,13 @@ class SamplingState(HorizonState):
 
     Attributes:
         plan: the latest plans, or None.
+        tools: made for the plant, and its valves, once.
         count: how many instants there have been, which the generator's numbers follow from.
-        tools: made for the plant once.
     """
 
     plan: Sampled | None
-    count: int
     tools: SamplingTools
+    count: int
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,6 +89,11 @@ class SamplingTools:
     """With what is usual in the place of 0."""
     method: Method
     spread: Spread
+
+    @property
+    def observer(self) -> Observer:
+        """That of the horizon."""
+        return self.horizon.observer
 
 
 class SamplingController:
@@ -139,7 +144,15 @@ class SamplingController:
             raise ConfigError(
                 f"{self.name}: a horizon of {s.horizon:g} s has {steps} steps, expected at least {max(s.knots, 2)}"
             )
-        horizon = Horizon(spec, s, lambda later: np.full(steps, s.stride, dtype=np.int64), position)
+
+        def make(own: PlantSpec, settings: SamplingSettings, first: bool) -> SamplingTools:
+            return self._tools(own, settings, position, steps, first)
+
+        return SamplingState(**begun(make, spec, s, observation, said), count=0)
+
+    def _tools(self, spec: PlantSpec, s: SamplingSettings, position: Array, steps: int, first: bool) -> SamplingTools:
+        banked = first and s.estimate_valves
+        horizon = Horizon(spec, s, lambda later: np.full(steps, s.stride, dtype=np.int64), position, banked, first)
         models = members_of(horizon.observer.model, s.ensemble, s.spread, s.seed)
         rollouts = make_rollouts(models, s.samples, steps, s.stride * horizon.dt, s.engine, s.compiled)
         spline = Spline(s.spline, s.knots, float(horizon.times[-1]))
@@ -148,10 +161,7 @@ class SamplingController:
         scale = np.where(np.isfinite(half) & (half > 0), half, USUAL_EFFORTS * horizon.weights.pressure)
         spread = Spread(s.least_deviation, s.deviation, s.temperature, s.elites)
         method = self._method or METHODS[s.method]
-        tools = SamplingTools(horizon, rollouts, spline, basis, s.joint_range(spec), scale, s, method, spread)
-        begun = horizon.begin(observation)
-        begun["note"] = both(said, begun["note"])
-        return SamplingState(**begun, plan=None, count=0, tools=tools)
+        return SamplingTools(horizon, rollouts, spline, basis, s.joint_range(spec), scale, s, method, spread)
 
     def step(
         self, observation: Observation, reference: Reference, state: SamplingState | PolicyState | Waiting
@@ -164,9 +174,10 @@ class SamplingController:
         if not isinstance(state, SamplingState):
             method = self._method or METHODS[state.settings.method]
             return sampling_policies.step(method, self._penalty, observation, reference, state)
-        horizon = state.tools.horizon
         pace = Pace(self._now, state.tools.settings.deadline, state.expected)
-        view = horizon.look(observation, reference, state)
+        state, known = found_out(observation, state)
+        horizon = state.tools.horizon
+        view = horizon.look(observation, reference, state, known)
         nominal, memory, shifted = self._shifted(view, state)
         found, reason = self._found(view, nominal, memory, state, pace)
         fallback = self._inputs(state.tools, view, nominal[None])[0] if shifted else None
