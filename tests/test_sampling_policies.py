@@ -430,6 +430,12 @@ def test_a_robot_that_can_follow_a_path_is_left_no_offset_by_masses_that_nobody_
     assert done.truth is not None and np.abs(done.truth[-30:].mean(axis=0) - pose).max() < 3e-3
 
 
+def test_at_rest_nothing_wanders_and_the_regulator_is_followed() -> None:
+    own = SamplingController(SamplingSettings(compiled=False))
+    done = run(MujocoPlant(Model(RIG)), own, HoldReference(RIG.home), 2.0)
+    assert done.truth is not None and np.ptp(done.truth[-30:], axis=0).max() < 1e-6
+
+
 @pytest.mark.parametrize(
     "given", [{"samples": 2}, {"effort": 0.0}, {"engine": "fast"}, {"method": "luck"}, {"every": 0}]
 )

@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Any, Literal, Protocol, TypeVar
 
 import numpy as np
@@ -21,10 +22,12 @@ from equimus_ctrl.controllers.inverse import Inverse, InverseState, Target
 from equimus_ctrl.controllers.lqr import CALM, LqrSettings, Schedule, waiting
 from equimus_ctrl.controllers.preview import Ahead, Preview, Sight
 from equimus_ctrl.controllers.valve_estimation import ValveEstimation, bank_of
+from equimus_ctrl.engines.native import native
 from equimus_ctrl.errors import ConfigError, ControllerError
 from equimus_ctrl.estimation.observer import Estimate, Observer, ObserverSettings, ObserverState, require_model
+from equimus_ctrl.models.buffered import Buffered
 from equimus_ctrl.models.linear import valve_lag
-from equimus_ctrl.models.prediction import Prediction, prediction
+from equimus_ctrl.models.prediction import Prediction, followed_rates, prediction, steps_in
 from equimus_ctrl.models.solved import valves_of
 from equimus_ctrl.predictive.costs import Wanted, Weights
 from equimus_ctrl.settings import OTHERS, PRESSURES, both, setting
@@ -34,6 +37,8 @@ Status = Literal["converged", "iterated", "sampled", "shifted", "lqr", "hold"]
 FALLBACKS = ("shifted", "lqr", "hold")
 """Statuses of commands that no plan of this instant stands behind."""
 
+FOLLOWED = 2.0
+"""Fastest rate times step that a Runge–Kutta step is given; it would be stable to 2.78. Intervals are divided."""
 SLOWER = 1.2
 """By so much may an iteration take longer than at the instant before and still count as typical."""
 
@@ -321,6 +326,43 @@ class Horizon:
         return Outlook(
             observer, arrival, ahead, disturbance, against, path, sight, wanted, fixed, first, before, effort
         )
+
+    def regulated(self, view: Outlook) -> Array:
+        """(n, na) by how much more than the reference asks for is to reach the drives where the regulator acts.
+
+        Its gains are those of where the path begins. Nothing where the pose has no regulator, or the model diverges.
+        """
+        found = np.zeros(view.wanted.feed.shape)
+        try:
+            gain = self.schedule.gain(view.path.position[0])[:, : len(self._seen)]
+        except ControllerError:
+            return found
+        states, step = view.wanted.states, self._forward
+        x, u, d, h = step.arguments
+        x[:], d[:] = view.known.state, view.disturbance
+        with np.errstate(all="ignore"):  # what diverges may overflow
+            for k, (feed, lasts) in enumerate(zip(view.wanted.feed, self.durations, strict=True)):
+                off = (x[: states.shape[1]] - states[k])[self._seen]
+                u[:] = np.clip(feed - gain @ off, *self.reached)
+                if view.fixed is not None:
+                    u[:] = np.where(np.isfinite(view.fixed[k]), view.fixed[k], u)
+                found[k] = u - feed
+                h[:] = lasts / self.parts
+                for _ in range(self.parts):
+                    step()
+                    x[:] = step.results[0]
+        return found if np.isfinite(found).all() else np.zeros(found.shape)
+
+    @cached_property
+    def parts(self) -> int:
+        """Into how many steps of the model an interval is divided."""
+        model, longest = self.observer.model, float(self.durations.max())
+        return max(math.ceil(followed_rates(model)[0] * longest / FOLLOWED), steps_in(model, longest))
+
+    @cached_property
+    def _forward(self) -> Buffered:
+        step = self.prediction.step
+        return Buffered((native(step, "step") if self.settings.compiled else None) or step)
 
     def choose(
         self,

@@ -8,7 +8,6 @@ in time, falls back: to the shifted plan, else to the regulator, else to the com
 
 from __future__ import annotations
 
-import math
 import time as clock
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -21,16 +20,12 @@ from equimus_ctrl.controllers.allowances import settable
 from equimus_ctrl.controllers.horizon import Horizon, HorizonSettings, HorizonState, Pace, begun, found_out
 from equimus_ctrl.errors import ConfigError
 from equimus_ctrl.estimation.observer import Observer, require_model
-from equimus_ctrl.models.prediction import followed_rates, steps_in
 from equimus_ctrl.predictive.problem import Answer, Plan, Problem
 from equimus_ctrl.predictive.quadratic import SOLVERS
 from equimus_ctrl.settings import FileSettings
 from equimus_ctrl.types import Array, Observation, PlantSpec, Reference
 
 FORMAT = "equimus-ctrl/nmpc/1"
-
-FOLLOWED = 2.0
-"""Fastest rate times step that a Runge–Kutta step is given; it would be stable to 2.78. Intervals are divided."""
 
 
 @dataclass(frozen=True)
@@ -156,8 +151,7 @@ class NmpcController:
     def _tools(spec: PlantSpec, s: NmpcSettings, position: Array, first: bool = True) -> NmpcTools:
         banked = first and s.estimate_valves
         horizon = Horizon(spec, s, lambda later: intervals(s.nodes, s.stride, later), position, banked, first)
-        angles, rate = s.joint_range(spec), followed_rates(horizon.observer.model)[0]
-        interval = s.stride * horizon.dt
+        angles = s.joint_range(spec)
         if s.velocity:
             angles = np.hstack([angles, s.velocity * np.array([[-1.0], [1.0]]) * np.ones(len(position))])
         problem = Problem(
@@ -169,7 +163,7 @@ class NmpcController:
             horizon.rate,
             s.solver,
             s.compiled,
-            max(math.ceil(rate * interval / FOLLOWED), steps_in(horizon.observer.model, interval)),
+            horizon.parts,
         )
         return NmpcTools(horizon, problem)
 

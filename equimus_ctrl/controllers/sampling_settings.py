@@ -23,6 +23,7 @@ from equimus_ctrl.predictive.forward import ENGINES
 from equimus_ctrl.predictive.sampling import METHODS
 from equimus_ctrl.predictive.splines import Spline
 from equimus_ctrl.robots.base import Robot
+from equimus_ctrl.robots.mjcf.robot import mjcf_of
 from equimus_ctrl.settings import FileSettings, setting
 from equimus_ctrl.types import Array
 
@@ -168,7 +169,7 @@ def kind_of(model: Model, pose: Array, engine: str) -> str:
         drive = Dynamics(model).authority(pose, np.zeros_like(pose))[0]
     except NotAvailable:
         return LOOKS
-    return FOLLOWS if np.any(drive != 0, axis=1).all() and not touching(model.robot, [pose[None]]) else LOOKS
+    return FOLLOWS if np.any(drive != 0, axis=1).all() and not touching(mjcf_of(model.robot), [pose[None]]) else LOOKS
 
 
 def there_of(settings: SamplingSettings, robot: Robot, kind: str) -> tuple[str, ...]:
