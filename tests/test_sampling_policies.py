@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from mjcf_models import RIG, pendulum, refusal
+from scipy.linalg import expm
 
 from equimus_ctrl import presets, workflow
 from equimus_ctrl.controllers.registry import make_controller
@@ -16,12 +17,12 @@ from equimus_ctrl.controllers.sampling_policies import PolicyState
 from equimus_ctrl.controllers.sampling_settings import SamplingSettings
 from equimus_ctrl.effects import FirstOrderLag, PayloadMass, StribeckFriction, TransportDelay
 from equimus_ctrl.engines.mjcf_realised import realise
-from equimus_ctrl.estimation.predicted import Predicted, tracking_gains
+from equimus_ctrl.estimation.predicted import Known, Predicted
 from equimus_ctrl.models.dynamics import Dynamics
 from equimus_ctrl.models.model import Model, nominal_model
 from equimus_ctrl.plants.mujoco_plant import MujocoPlant
 from equimus_ctrl.predictive.energy import Energy
-from equimus_ctrl.predictive.forward import ExactForward, MujocoForward, can_touch, make_forward
+from equimus_ctrl.predictive.forward import ExactForward, MujocoForward, can_touch, make_forward, slopes_of
 from equimus_ctrl.predictive.measures import measures_of
 from equimus_ctrl.predictive.policies import Plans, Valves, drawn, settler
 from equimus_ctrl.robots.mjcf.robot import MjcfRobot
@@ -29,7 +30,7 @@ from equimus_ctrl.scenarios.references import HoldReference
 from equimus_ctrl.scenarios.scenario import Scenario
 from equimus_ctrl.scenarios.scoring import ArrivalFigures, score_run
 from equimus_ctrl.simulate import run
-from equimus_ctrl.types import Run, Start
+from equimus_ctrl.types import Array, Run, Start
 
 EXAMPLES = Path(__file__).parents[1] / "docs" / "examples"
 CARTPOLE, ACROBOT = (workflow.load_model(EXAMPLES / f"{name}.xml") for name in ("cartpole", "acrobot"))
@@ -228,29 +229,61 @@ def test_dead_times_are_shares_of_commands() -> None:
 # --- what is known ------------------------------------------------------------------------------------------------
 
 
-def test_tracking_gains_are_those_of_least_variance() -> None:
-    index = np.array([1e-4, 0.1, 10.0])
-    alpha, beta = tracking_gains(index)
-    np.testing.assert_allclose(beta**2 / (1 - alpha), index**2, rtol=1e-6)
-    assert (np.diff(alpha) > 0).all() and (alpha < 1).all()
+def filtered(own: Predicted, slopes: Array, y: Array, dt: float, x: Array) -> tuple[Array, Known]:
+    """(n, 2) what is known of a joint from an x on, of a model that is its slopes, and what is known last."""
+    known, found = own.begin(x, x[:1], 0.0, 0.0), []
+    for k in range(1, len(y)):
+        measured = k * dt, k * dt, y[k : k + 1]
+        known = own.corrected(
+            known, slopes @ known.state, slopes, lambda s: s, lambda s, q, v: np.concatenate([q, v]), measured
+        )
+        found.append(known.state)
+    return np.array(found), known
 
 
-def test_a_model_and_an_alpha_beta_filter_know_rates_better_than_differences() -> None:
+@pytest.mark.parametrize("index", [1e-3, 0.1, 10.0])
+def test_gains_of_a_mass_that_nothing_moves_are_those_of_the_tracking_index(index: float) -> None:
+    """Kalata: β²/(1 − α) = λ² with λ = w T²/σ, and β = 2 (2 − α) − 4 √(1 − α)."""
+    dt, noise = 0.01, 1e-3
+    own = Predicted(dt, ("x",), np.array([index * noise / dt**2]), noise, np.zeros(1), 0.1)
+    slopes, y = np.array([[1.0, dt], [0.0, 1.0]]), np.zeros(4000)
+    y[-1] = 1.0
+    found, _ = filtered(own, slopes, y, dt, np.zeros(2))
+    alpha, beta = found[-1] * (1.0, dt)
+    assert beta**2 / (1 - alpha) == pytest.approx(index**2, rel=1e-3)
+    assert beta == pytest.approx(2 * (2 - alpha) - 4 * np.sqrt(1 - alpha), rel=1e-3)
+
+
+def test_a_model_and_its_filter_know_rates_better_than_differences() -> None:
     rng, dt, noise, n = np.random.default_rng(3), 0.01, 1e-3, 600
-    own = Predicted(dt, ("x",), np.array([0.1]), np.zeros(1), 0.1)
+    own = Predicted(dt, ("x",), np.ones(1), noise, np.zeros(1), 0.1)
     time = dt * np.arange(n)
     q, v = np.sin(time), np.cos(time)
     y = q + noise * rng.standard_normal(n)
-    known, rates = own.begin(np.array([y[0], 0.0]), y[:1], 0.0, 0.0), []
-    for k in range(1, n):
-        x = known.state
-        ahead = np.array([x[0] + dt * x[1], x[1]])  # that it accelerates is not in the model
-        known = own.corrected(
-            known, ahead, lambda s: s, lambda s, a, b: np.concatenate([a, b]), (time[k], time[k], y[k : k + 1])
-        )
-        rates.append(known.state[1])
-    off, plain = np.array(rates)[200:] - v[201:], np.diff(y)[200:] / dt - v[201:]
+    # That it accelerates is not in the model.
+    found, _ = filtered(own, np.array([[1.0, dt], [0.0, 1.0]]), y, dt, np.array([y[0], 0.0]))
+    off, plain = found[200:, 1] - v[201:], np.diff(y)[200:] / dt - v[201:]
     assert np.sqrt((off**2).mean()) < 0.5 * np.sqrt((plain**2).mean())
+
+
+def test_what_falls_is_not_lost_however_little_is_unexplained() -> None:
+    """About a pose that is left as e^(5 t): without its slopes, so small gains would lose it within a second."""
+    rng, dt, noise = np.random.default_rng(4), 0.01, 1e-3
+    slopes = expm(np.array([[0.0, 1.0], [25.0, 0.0]]) * dt)
+    own = Predicted(dt, ("x",), np.full(1, 1e-6), noise, np.zeros(1), 0.1)
+    found, known = filtered(own, slopes, noise * rng.standard_normal(500), dt, np.array([noise, 0.0]))
+    assert np.abs(found[-100:, 0]).max() < 2 * noise
+    assert np.linalg.eigvalsh(known.covariance).min() > 0
+
+
+def test_slopes_are_those_of_the_motion() -> None:
+    way = ExactForward(CARTPOLE, 4, 0.01, compiled=False)
+    x, u = np.array([0.1, 0.2, 0.3, -0.4]), np.array([2.0])
+    ahead = way(x[None], u[None])[0]
+    found = slopes_of(way, x, u, ahead, np.full(4, 1e-6))
+    for k in range(4):
+        sides = [way((x + side * 1e-4 * (np.arange(4) == k))[None], u[None])[0] for side in (-1, 1)]
+        np.testing.assert_allclose(found[:, k], (sides[1] - sides[0]) / 2e-4, atol=1e-5)
 
 
 def test_a_joint_that_is_not_measured_is_a_fault_after_a_while() -> None:

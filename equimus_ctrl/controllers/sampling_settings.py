@@ -112,7 +112,7 @@ class SamplingSettings(HorizonSettings, FileSettings):
     risk: float = setting(1.0, FOLLOWS)
     effort: float = setting(0.1, LOOKS)
     energy: float = setting(4.0, LOOKS)
-    unexplained: float = setting(0.02, LOOKS)
+    unexplained: float = setting(0.002, LOOKS)
     seed: int = 0
 
     def __post_init__(self) -> None:
