@@ -237,7 +237,7 @@ def arm(file: Path, leg: float) -> Work:
     model = load_model(file)
     return Work("arm", model, path_of(model, leg, **SIZES["arm2"]), {
         **ours(nodes=20),
-        "sampling": lambda seed: eq.SamplingController(eq.SamplingSettings(seed=seed, horizon=0.5, samples=64)),
+        "sampling": lambda seed: eq.SamplingController(eq.SamplingSettings(seed=seed)),
         "python-control": lambda seed: ControlLqr(0.02, 0.2, np.array([0.5, 0.07]), integral=0.005, time=0.008),
         "do-mpc": lambda seed: DoMpc(0.02, 0.3, np.array([0.1, 0.015]), nodes=20, settle=0.3, time=0.008),
         "judo": lambda seed: Judo(file, 0.02, 0.2, 1e3, np.array([0.3, 0.06]), 0.4, seed, every=2),

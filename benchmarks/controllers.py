@@ -49,7 +49,7 @@ SHOWN = ("arm2", "so101", "so101 motors", "ur5e")
 NEEDS = {
     "lqr": ("a name", "the XML", "exact, by the package", "none"),
     "nmpc": ("a name", "the XML", "exact, by the package", "none"),
-    "sampling": ("a name", "the XML", "none", "none"),
+    "sampling": ("a name", "the XML", "exact, by the package", "none"),
     "python-control": ("a class", "the XML", "finite differences, by MuJoCo", "4, by hand"),
     "do-mpc": ("a class", "equations in CasADi, here eq.accelerations", "exact, by CasADi", "3 and the estimator's"),
     "judo": ("a class", "the XML", "none", "3, spread, horizon, knots"),

@@ -340,6 +340,16 @@ class KnowsTruth(Protocol):
 
 
 @runtime_checkable
+class KnowsContacts(Protocol):
+    """The same: tell what of it has touched."""
+
+    @property
+    def touched(self) -> str:
+        """Which two geoms were the first since the reset, and when, a phrase; empty where none have."""
+        ...
+
+
+@runtime_checkable
 class Ends(Protocol):
     """The same: come to an end by itself, as a recording does; it is driven no longer than that."""
 

@@ -186,7 +186,7 @@ def test_friction_that_creeps_while_it_sticks_is_no_gain_of_another_motor(hard: 
 
     def with_one_more(fitted: Fitted, label: str) -> Fitted:
         (screened,) = screen(data, fitted, [pool[label]])
-        begins = [(theta, fitted.fit.starts) for theta in screened.begins(data, fitted)]
+        begins = [(theta, fitted.fit.starts) for theta in screened.begins(data, fitted, True)]
         return data.converge(
             data.coarse_fit(screened.hypothesis, begins, white_noise(fitted.fit.residuals), search.settings.long_steps)
         )

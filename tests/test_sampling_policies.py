@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from mjcf_models import RIG, pendulum, refusal
+from scipy.linalg import expm
 
 from equimus_ctrl import presets, workflow
 from equimus_ctrl.controllers.registry import make_controller
@@ -16,12 +17,12 @@ from equimus_ctrl.controllers.sampling_policies import PolicyState
 from equimus_ctrl.controllers.sampling_settings import SamplingSettings
 from equimus_ctrl.effects import FirstOrderLag, PayloadMass, StribeckFriction, TransportDelay
 from equimus_ctrl.engines.mjcf_realised import realise
-from equimus_ctrl.estimation.predicted import Predicted, tracking_gains
+from equimus_ctrl.estimation.predicted import Known, Predicted
 from equimus_ctrl.models.dynamics import Dynamics
 from equimus_ctrl.models.model import Model, nominal_model
 from equimus_ctrl.plants.mujoco_plant import MujocoPlant
 from equimus_ctrl.predictive.energy import Energy
-from equimus_ctrl.predictive.forward import ExactForward, MujocoForward, can_touch, make_forward
+from equimus_ctrl.predictive.forward import ExactForward, MujocoForward, can_touch, make_forward, slopes_of
 from equimus_ctrl.predictive.measures import measures_of
 from equimus_ctrl.predictive.policies import Plans, Valves, drawn, settler
 from equimus_ctrl.robots.mjcf.robot import MjcfRobot
@@ -29,7 +30,7 @@ from equimus_ctrl.scenarios.references import HoldReference
 from equimus_ctrl.scenarios.scenario import Scenario
 from equimus_ctrl.scenarios.scoring import ArrivalFigures, score_run
 from equimus_ctrl.simulate import run
-from equimus_ctrl.types import Run, Start
+from equimus_ctrl.types import Array, Run, Start
 
 EXAMPLES = Path(__file__).parents[1] / "docs" / "examples"
 CARTPOLE, ACROBOT = (workflow.load_model(EXAMPLES / f"{name}.xml") for name in ("cartpole", "acrobot"))
@@ -228,29 +229,61 @@ def test_dead_times_are_shares_of_commands() -> None:
 # --- what is known ------------------------------------------------------------------------------------------------
 
 
-def test_tracking_gains_are_those_of_least_variance() -> None:
-    index = np.array([1e-4, 0.1, 10.0])
-    alpha, beta = tracking_gains(index)
-    np.testing.assert_allclose(beta**2 / (1 - alpha), index**2, rtol=1e-6)
-    assert (np.diff(alpha) > 0).all() and (alpha < 1).all()
+def filtered(own: Predicted, slopes: Array, y: Array, dt: float, x: Array) -> tuple[Array, Known]:
+    """(n, 2) what is known of a joint from an x on, of a model that is its slopes, and what is known last."""
+    known, found = own.begin(x, x[:1], 0.0, 0.0), []
+    for k in range(1, len(y)):
+        measured = k * dt, k * dt, y[k : k + 1]
+        known = own.corrected(
+            known, slopes @ known.state, slopes, lambda s: s, lambda s, q, v: np.concatenate([q, v]), measured
+        )
+        found.append(known.state)
+    return np.array(found), known
 
 
-def test_a_model_and_an_alpha_beta_filter_know_rates_better_than_differences() -> None:
+@pytest.mark.parametrize("index", [1e-3, 0.1, 10.0])
+def test_gains_of_a_mass_that_nothing_moves_are_those_of_the_tracking_index(index: float) -> None:
+    """Kalata: β²/(1 − α) = λ² with λ = w T²/σ, and β = 2 (2 − α) − 4 √(1 − α)."""
+    dt, noise = 0.01, 1e-3
+    own = Predicted(dt, ("x",), np.array([index * noise / dt**2]), noise, np.zeros(1), 0.1)
+    slopes, y = np.array([[1.0, dt], [0.0, 1.0]]), np.zeros(4000)
+    y[-1] = 1.0
+    found, _ = filtered(own, slopes, y, dt, np.zeros(2))
+    alpha, beta = found[-1] * (1.0, dt)
+    assert beta**2 / (1 - alpha) == pytest.approx(index**2, rel=1e-3)
+    assert beta == pytest.approx(2 * (2 - alpha) - 4 * np.sqrt(1 - alpha), rel=1e-3)
+
+
+def test_a_model_and_its_filter_know_rates_better_than_differences() -> None:
     rng, dt, noise, n = np.random.default_rng(3), 0.01, 1e-3, 600
-    own = Predicted(dt, ("x",), np.array([0.1]), np.zeros(1), 0.1)
+    own = Predicted(dt, ("x",), np.ones(1), noise, np.zeros(1), 0.1)
     time = dt * np.arange(n)
     q, v = np.sin(time), np.cos(time)
     y = q + noise * rng.standard_normal(n)
-    known, rates = own.begin(np.array([y[0], 0.0]), y[:1], 0.0, 0.0), []
-    for k in range(1, n):
-        x = known.state
-        ahead = np.array([x[0] + dt * x[1], x[1]])  # that it accelerates is not in the model
-        known = own.corrected(
-            known, ahead, lambda s: s, lambda s, a, b: np.concatenate([a, b]), (time[k], time[k], y[k : k + 1])
-        )
-        rates.append(known.state[1])
-    off, plain = np.array(rates)[200:] - v[201:], np.diff(y)[200:] / dt - v[201:]
+    # That it accelerates is not in the model.
+    found, _ = filtered(own, np.array([[1.0, dt], [0.0, 1.0]]), y, dt, np.array([y[0], 0.0]))
+    off, plain = found[200:, 1] - v[201:], np.diff(y)[200:] / dt - v[201:]
     assert np.sqrt((off**2).mean()) < 0.5 * np.sqrt((plain**2).mean())
+
+
+def test_what_falls_is_not_lost_however_little_is_unexplained() -> None:
+    """About a pose that is left as e^(5 t): without its slopes, so small gains would lose it within a second."""
+    rng, dt, noise = np.random.default_rng(4), 0.01, 1e-3
+    slopes = expm(np.array([[0.0, 1.0], [25.0, 0.0]]) * dt)
+    own = Predicted(dt, ("x",), np.full(1, 1e-6), noise, np.zeros(1), 0.1)
+    found, known = filtered(own, slopes, noise * rng.standard_normal(500), dt, np.array([noise, 0.0]))
+    assert np.abs(found[-100:, 0]).max() < 2 * noise
+    assert np.linalg.eigvalsh(known.covariance).min() > 0
+
+
+def test_slopes_are_those_of_the_motion() -> None:
+    way = ExactForward(CARTPOLE, 4, 0.01, compiled=False)
+    x, u = np.array([0.1, 0.2, 0.3, -0.4]), np.array([2.0])
+    ahead = way(x[None], u[None])[0]
+    found = slopes_of(way, x, u, ahead, np.full(4, 1e-6))
+    for k in range(4):
+        sides = [way((x + side * 1e-4 * (np.arange(4) == k))[None], u[None])[0] for side in (-1, 1)]
+        np.testing.assert_allclose(found[:, k], (sides[1] - sides[0]) / 2e-4, atol=1e-5)
 
 
 def test_a_joint_that_is_not_measured_is_a_fault_after_a_while() -> None:
@@ -299,10 +332,29 @@ def test_a_robot_with_contacts_is_held_in_mujoco() -> None:
     """On the floor it needs no force; 0.15 m up it needs its weight."""
     plant = MujocoPlant(Model(BOUNCER), noise=1e-4)
     own = SamplingController(replace(FEW, samples=16, horizon=0.3))
-    done = run(plant, own, HoldReference([0.15]), 1.5, start=Start(command=[0.0], position=[-0.1]))
+    done = run(plant, own, HoldReference([0.15]), 1.5, start=Start(command=[0.0], position=[-0.102]))
     assert done.truth is not None and abs(done.truth[-20:].mean() - 0.15) < 0.02
     assert done.command[-20:].mean() == pytest.approx(9.81, rel=0.1)
     assert done.note == "plans are rolled out by the XML in MuJoCo: it has contacts (floor may touch ball)"
+
+
+def test_what_touches_on_the_way_is_told() -> None:
+    plant = MujocoPlant(Model(BOUNCER))
+    plant.reset(Start(command=[0.0], position=[0.0]))
+    assert plant.touched == ""
+    while plant.position[0] > -0.099:  # 0.1 m down in 0.14 s
+        plant.step([0.0])
+    plant.step([0.0])
+    assert plant.touched in {f"floor touches ball at {time:.3g} s" for time in (0.14, 0.145)}
+    plant.reset(Start(command=[0.0], position=[0.0]))
+    assert plant.touched == ""
+    done = workflow.run_scenario(
+        Scenario("fall", "", 0.3, HoldReference([0.0]), start=Start(command=[0.0], position=[0.0])),
+        lambda observation, reference: np.zeros(1),
+        model=Model(BOUNCER),
+    )
+    assert done.run.note.startswith("floor touches ball at 0.14")
+    assert "contacts are in no equations of motion" in done.run.note
 
 
 def test_a_servo_follows_a_step() -> None:
@@ -375,17 +427,20 @@ def test_where_it_is_to_go_is_asked_for() -> None:
     assert "expected more than 0" in refusal(lambda: built(CARTPOLE.robot, within="0"))
 
 
-@pytest.mark.parametrize(("model", "kind"), [
-    (CARTPOLE, PolicyState), (Model(BOUNCER), PolicyState), (Model(RIG), SamplingState), (nominal_model(), SamplingState),
+@pytest.mark.parametrize(("model", "begins", "kind"), [
+    (CARTPOLE, None, PolicyState), (Model(BOUNCER), [-0.102], PolicyState), (Model(BOUNCER), [0.1], SamplingState),
+    (Model(RIG), None, SamplingState), (nominal_model(), None, SamplingState),
 ], ids=lambda own: getattr(own, "name", ""))  # fmt: skip
-def test_one_file_is_for_every_robot_and_what_plans_are_follows_from_it(model: Model, kind: type) -> None:
+def test_one_file_is_for_every_robot_and_what_plans_are_follows_from_it(
+    model: Model, begins: list[float] | None, kind: type
+) -> None:
     path = presets.find("controllers", "sampling.toml")
     assert path is not None
     table = {**presets.read_toml(path), "compiled": False, "samples": 8}
     assert SamplingSettings.from_dict(presets.read_toml(path)) == SamplingSettings()
     plant = MujocoPlant(model)
     own = make_controller("sampling", table, robot=model.robot, chosen=True)
-    seen = plant.reset(seed=0)
+    seen = plant.reset(Start(position=begins), seed=0)
     pose = HoldReference(seen.position)
     command, state = own.step(seen, pose, own.init(plant.spec, seen))
     assert isinstance(state, kind) and np.isfinite(command).all()
@@ -406,6 +461,12 @@ def test_a_robot_that_can_follow_a_path_is_left_no_offset_by_masses_that_nobody_
     pose = RIG.home + np.array([0.4, 0.0])
     done = run(plant, own, HoldReference(pose), 2.5)
     assert done.truth is not None and np.abs(done.truth[-30:].mean(axis=0) - pose).max() < 3e-3
+
+
+def test_at_rest_nothing_wanders_and_the_regulator_is_followed() -> None:
+    own = SamplingController(SamplingSettings(compiled=False))
+    done = run(MujocoPlant(Model(RIG)), own, HoldReference(RIG.home), 2.0)
+    assert done.truth is not None and np.ptp(done.truth[-30:], axis=0).max() < 1e-6
 
 
 @pytest.mark.parametrize(

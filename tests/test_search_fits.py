@@ -69,9 +69,11 @@ def test_the_best_that_stands_for_no_other_parameters_is_converged_too() -> None
         return coarse(1500.0, hypothesis[-1].candidate.label, True)
 
     vars(search.data).update(threads=1, coarse_fit=longer, converge=converge, discontinuous=lambda *a: [])
-    found = search._best_of_its_own_converged(search.known(), options, no_rival)
+    found = search._best_of_its_own_converged(search.known(), options, options, no_rival)
     assert [f.deviance for f in found] == [1000.0, 1500.0] and whole == [RUB]
-    assert search._best_of_its_own_converged(search.known(), options[1:], no_rival) == options[1:] and whole == [RUB]
+    own, already = options[1:], [options[0], found[1]]
+    assert search._best_of_its_own_converged(search.known(), own, own, no_rival) == own and whole == [RUB]
+    assert search._best_of_its_own_converged(search.known(), options, already, no_rival) == already and whole == [RUB]
 
 
 @pytest.mark.parametrize(("deviance", "further"), [(4000.0, True), (4400.0, False)])
@@ -134,8 +136,9 @@ def test_residual_forces_are_asked_only_where_one_can_explain_twice_as_much(
     assert bool(looked) is asked
 
 
-def test_beside_other_effects_a_fit_begins_on_the_way_too() -> None:
-    """All, a half and a quarter of the change to first order, and a quarter of the new effect's alone."""
+@pytest.mark.parametrize("many_minima", [False, True])
+def test_beside_other_effects_a_fit_begins_on_the_way_too(many_minima: bool) -> None:
+    """All, a half and a quarter of the change to first order; of many minima also a quarter of the new effect's alone."""
     part = Part(POOL[OFF], VALUES["sensor_offset"])
     data: Any = SimpleNamespace(
         theta_of=lambda theta, parts: np.append(theta, [v for p in parts for v in p.values.values()])
@@ -148,8 +151,8 @@ def test_beside_other_effects_a_fit_begins_on_the_way_too() -> None:
         whole = np.append(before, 0.0) + change
         screened = Screened(part.candidate, (*others, part), whole, ScreenedGains(1.0, 1.0), (), np.zeros(0))
         expected = [np.append(before, 0.0) + share * change for share in shares]
-        expected += [np.append(before, 0.25 * 0.1)] if others else []
-        assert np.array(screened.begins(data, of)) == pytest.approx(np.array(expected))
+        expected += [np.append(before, 0.25 * 0.1)] if others and many_minima else []
+        assert np.array(screened.begins(data, of, many_minima)) == pytest.approx(np.array(expected))
 
 
 def test_sizes_that_fade_together_shrink_together_on_the_way() -> None:
@@ -168,7 +171,7 @@ def test_sizes_that_fade_together_shrink_together_on_the_way() -> None:
         (),
         np.zeros(0),
     )
-    half = screened.begins(data, of)[1]
+    half = screened.begins(data, of, False)[1]
     assert half == pytest.approx([1e3, 0.005, 0.006, 0.1])
 
 

@@ -10,6 +10,8 @@ from mjcf_models import pendulum
 
 from equimus_ctrl.controllers.lqr import LqrController, LqrSettings
 from equimus_ctrl.controllers.nmpc import NmpcController, NmpcSettings
+from equimus_ctrl.controllers.sampling import SamplingController
+from equimus_ctrl.controllers.sampling_settings import SamplingSettings
 from equimus_ctrl.effects import Effect, make
 from equimus_ctrl.estimation import bank_kernel
 from equimus_ctrl.estimation.observer import Observer, ObserverState
@@ -21,7 +23,7 @@ from equimus_ctrl.robots.elastic.leg import nominal_leg
 from equimus_ctrl.robots.mjcf.robot import MjcfRobot
 from equimus_ctrl.scenarios.references import FunctionReference
 from equimus_ctrl.simulate import run
-from equimus_ctrl.types import Array, Observation, Run
+from equimus_ctrl.types import Array, Controller, Observation, Run
 
 LEG, DT, POSE = nominal_leg(), 1 / 120, np.array([1.45, 0.6])
 LATE: tuple[Effect, ...] = tuple(
@@ -172,7 +174,8 @@ def test_where_nothing_is_late_the_commands_are_those_without_a_bank() -> None:
         assert runs[0].note == ""
 
 
-def test_a_servos_late_goals_are_found_and_where_they_are_not_late_nothing_is() -> None:
+@pytest.mark.parametrize("sampled", [False, pytest.param(True, marks=pytest.mark.slow)], ids=["lqr", "sampling"])
+def test_a_servos_late_goals_are_found_and_where_they_are_not_late_nothing_is(sampled: bool) -> None:
     drive = '<position name="goal" joint="pivot" kp="300" kv="3"/>'
     servo = MjcfRobot("servo", pendulum('damping="0.6" frictionloss="0.05"', drive=drive))
 
@@ -180,7 +183,10 @@ def test_a_servos_late_goals_are_found_and_where_they_are_not_late_nothing_is() 
         effects = (make("transport_delay", "goal", {"delay": late}),) if late else ()
         plant = MujocoPlant(Model(servo, effects), nominal=Model(servo), noise=2e-3)
         swing = FunctionReference(lambda time: np.array([0.5 * np.sin(2.5 * time)]))
-        return run(plant, LqrController(LqrSettings(estimate_valves=find)), swing, 4.0, seed=1)
+        own: Controller = LqrController(LqrSettings(estimate_valves=find))
+        if sampled:
+            own = SamplingController(SamplingSettings(estimate_valves=find, samples=8, compiled=False))
+        return run(plant, own, swing, 4.0, seed=1)
 
     found, blind = driven(0.02, True), driven(0.02, False)
     assert "drives were found to be later than is known: goal by 0.0" in found.note and "found" not in blind.note

@@ -11,7 +11,8 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from typing import Any, Literal, TypeVar
+from functools import cached_property
+from typing import Any, Literal, Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,20 +21,24 @@ from equimus_ctrl.controllers.allowances import allowances
 from equimus_ctrl.controllers.inverse import Inverse, InverseState, Target
 from equimus_ctrl.controllers.lqr import CALM, LqrSettings, Schedule, waiting
 from equimus_ctrl.controllers.preview import Ahead, Preview, Sight
-from equimus_ctrl.controllers.valve_estimation import bank_of
+from equimus_ctrl.controllers.valve_estimation import ValveEstimation, bank_of
+from equimus_ctrl.engines.native import native
 from equimus_ctrl.errors import ConfigError, ControllerError
 from equimus_ctrl.estimation.observer import Estimate, Observer, ObserverSettings, ObserverState, require_model
+from equimus_ctrl.models.buffered import Buffered
 from equimus_ctrl.models.linear import valve_lag
-from equimus_ctrl.models.prediction import Prediction, prediction
+from equimus_ctrl.models.prediction import Prediction, followed_rates, prediction, steps_in
 from equimus_ctrl.models.solved import valves_of
 from equimus_ctrl.predictive.costs import Wanted, Weights
-from equimus_ctrl.settings import OTHERS, PRESSURES, setting
+from equimus_ctrl.settings import OTHERS, PRESSURES, both, setting
 from equimus_ctrl.types import Array, Observation, PlantSpec, Reference, frozen_array
 
 Status = Literal["converged", "iterated", "sampled", "shifted", "lqr", "hold"]
 FALLBACKS = ("shifted", "lqr", "hold")
 """Statuses of commands that no plan of this instant stands behind."""
 
+FOLLOWED = 2.0
+"""Fastest rate times step that a Runge–Kutta step is given; it would be stable to 2.78. Intervals are divided."""
 SLOWER = 1.2
 """By so much may an iteration take longer than at the instant before and still count as typical."""
 
@@ -54,6 +59,8 @@ class HorizonSettings:
         deadline: what is not solved by then after the step began falls back [s]; 0 for no deadline, as in simulation,
             where a run is to give the same bits each time.
         disturbance: whether torques that the observer cannot explain are taken to last.
+        estimate_valves: whether dead times and lags up to the usual ones are found that nobody told of, see
+            ``controllers.valve_estimation``.
         spacing: of the grid of poses that the regulator behind the horizon is worked out at [rad].
         start_time: over which the first pose fades out of the reference, where every joint has an actuator [s].
         compiled: whether a C compiler is used where there is one.
@@ -72,6 +79,7 @@ class HorizonSettings:
     pressure_rate: float = setting(0.0, PRESSURES)
     deadline: float = 0.0
     disturbance: bool = True
+    estimate_valves: bool = True
     spacing: float = 0.2
     start_time: float = 0.3
     compiled: bool = True
@@ -132,7 +140,11 @@ class HorizonState:
         reason: why it fell back; empty where it did not.
         under_way: for each actuator commands beyond what the reference asked for, the next to arrive first [Pa].
         expected: what an iteration is known to take, where there is a deadline [s].
-        note: where allowances come from; empty where settings say them.
+        note: where allowances come from, or what was found of the valves; empty where settings say all.
+        plan: the latest one, or None.
+        tools: made for the plant, and its valves, once.
+        estimation: of valves; None where there is none.
+        watched: what its observer remembers.
     """
 
     observer: ObserverState
@@ -143,6 +155,10 @@ class HorizonState:
     under_way: tuple[Array, ...]
     expected: float
     note: str
+    plan: Any
+    tools: Any
+    estimation: ValveEstimation[Any] | None
+    watched: ObserverState | None
 
     @property
     def fell_back(self) -> bool:
@@ -311,6 +327,43 @@ class Horizon:
             observer, arrival, ahead, disturbance, against, path, sight, wanted, fixed, first, before, effort
         )
 
+    def regulated(self, view: Outlook) -> Array:
+        """(n, na) by how much more than the reference asks for is to reach the drives where the regulator acts.
+
+        Its gains are those of where the path begins. Nothing where the pose has no regulator, or the model diverges.
+        """
+        found = np.zeros(view.wanted.feed.shape)
+        try:
+            gain = self.schedule.gain(view.path.position[0])[:, : len(self._seen)]
+        except ControllerError:
+            return found
+        states, step = view.wanted.states, self._forward
+        x, u, d, h = step.arguments
+        x[:], d[:] = view.known.state, view.disturbance
+        with np.errstate(all="ignore"):  # what diverges may overflow
+            for k, (feed, lasts) in enumerate(zip(view.wanted.feed, self.durations, strict=True)):
+                off = (x[: states.shape[1]] - states[k])[self._seen]
+                u[:] = np.clip(feed - gain @ off, *self.reached)
+                if view.fixed is not None:
+                    u[:] = np.where(np.isfinite(view.fixed[k]), view.fixed[k], u)
+                found[k] = u - feed
+                h[:] = lasts / self.parts
+                for _ in range(self.parts):
+                    step()
+                    x[:] = step.results[0]
+        return found if np.isfinite(found).all() else np.zeros(found.shape)
+
+    @cached_property
+    def parts(self) -> int:
+        """Into how many steps of the model an interval is divided."""
+        model, longest = self.observer.model, float(self.durations.max())
+        return max(math.ceil(followed_rates(model)[0] * longest / FOLLOWED), steps_in(model, longest))
+
+    @cached_property
+    def _forward(self) -> Buffered:
+        step = self.prediction.step
+        return Buffered((native(step, "step") if self.settings.compiled else None) or step)
+
     def choose(
         self,
         view: Outlook,
@@ -410,6 +463,60 @@ class Horizon:
             scale = np.concatenate([np.broadcast_to(x, nj) for x in (self.weights.angle, self.weights.rate)])
             last[np.diag_indices(2 * nj)] = math.sqrt(self.durations[-1]) / scale
         return last
+
+
+class Planning(Protocol):
+    """What is made once for a plant, or for one hypothesis about its valves."""
+
+    @property
+    def horizon(self) -> Horizon: ...
+    @property
+    def observer(self) -> Observer: ...
+
+
+AnySettings = TypeVar("AnySettings", bound=HorizonSettings)
+
+
+def begun(
+    make: Callable[[PlantSpec, AnySettings, bool], Planning],
+    spec: PlantSpec,
+    settings: AnySettings,
+    observation: Observation,
+    said: str = "",
+) -> dict[str, Any]:
+    """The fields of a ``HorizonState`` for a robot that has long been at rest, without a plan.
+
+    Args:
+        make: tools of a spec and settings; the last says whether they are the first, with a bank of valves and all that
+            can be prepared before the robot moves.
+        spec: of the plant.
+        settings: of the controller.
+        observation: the first.
+        said: of the settings, for a person to read.
+    """
+    tools = make(spec, settings, True)
+    own = tools.horizon.begin(observation)
+    own["note"] = both(said, own["note"])
+    bank, estimation = tools.observer.bank, None
+    if bank is not None:
+        # Lags make other functions, which are interpreted: a robot does not wait until a compiler is done.
+        plain = replace(settings, compiled=settings.compiled and not bank.lags)
+        estimation = ValveEstimation(spec, tools, lambda later: make(later, plain, False), own["note"])
+    watched = None if bank is None else own["observer"]
+    return {**own, "plan": None, "tools": tools, "estimation": estimation, "watched": watched}
+
+
+def found_out(observation: Observation, state: AnyState) -> tuple[AnyState, ObserverState | None]:
+    """With the tools for the likeliest valves, and what their observer remembers by now; None without a bank."""
+    if state.estimation is None or state.watched is None:
+        return state, None
+    estimation = state.estimation
+    found = estimation.look(observation, state.tools, state.observer, state.watched)
+    state = replace(state, watched=found.watched)
+    if found.changed:
+        taken, note = found.tools.horizon.taken_over(state), estimation.note(found.watched)
+        state = replace(state, tools=found.tools, plan=None, note=note, **taken)
+    return state, found.observer
 
 
 class Pace:

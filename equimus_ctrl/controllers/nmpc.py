@@ -8,7 +8,6 @@ in time, falls back: to the shifted plan, else to the regulator, else to the com
 
 from __future__ import annotations
 
-import math
 import time as clock
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -18,20 +17,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from equimus_ctrl.controllers.allowances import settable
-from equimus_ctrl.controllers.horizon import Horizon, HorizonSettings, HorizonState, Pace
-from equimus_ctrl.controllers.valve_estimation import ValveEstimation
+from equimus_ctrl.controllers.horizon import Horizon, HorizonSettings, HorizonState, Pace, begun, found_out
 from equimus_ctrl.errors import ConfigError
-from equimus_ctrl.estimation.observer import Observer, ObserverState, require_model
-from equimus_ctrl.models.prediction import followed_rates, steps_in
+from equimus_ctrl.estimation.observer import Observer, require_model
 from equimus_ctrl.predictive.problem import Answer, Plan, Problem
 from equimus_ctrl.predictive.quadratic import SOLVERS
-from equimus_ctrl.settings import FileSettings, both
+from equimus_ctrl.settings import FileSettings
 from equimus_ctrl.types import Array, Observation, PlantSpec, Reference
 
 FORMAT = "equimus-ctrl/nmpc/1"
-
-FOLLOWED = 2.0
-"""Fastest rate times step that a Runge–Kutta step is given; it would be stable to 2.78. Intervals are divided."""
 
 
 @dataclass(frozen=True)
@@ -45,8 +39,6 @@ class NmpcSettings(HorizonSettings, FileSettings):
         iterations: programs solved at one instant, at most; 1 is the real-time iteration.
         tolerance: it has converged where no command changes by more, in allowances.
         velocity: soft bound of the joints' velocities, either way [rad/s or m/s]; 0 for none.
-        estimate_valves: whether dead times and lags up to the usual ones are found that nobody told of, see
-            ``controllers.valve_estimation``.
         solver: of quadratic programs.
 
     Raises:
@@ -60,7 +52,6 @@ class NmpcSettings(HorizonSettings, FileSettings):
     iterations: int = 5
     tolerance: float = 0.01
     velocity: float = 0.0
-    estimate_valves: bool = True
     solver: str = "daqp"
 
     def __post_init__(self) -> None:
@@ -79,18 +70,14 @@ class NmpcState(HorizonState):
     """What the controller carries from step to step.
 
     Attributes:
-        plan: the latest plan that was solved for, or None.
+        plan: the latest one that was solved for, or None.
         answer: the latest solution, or None.
         tools: made for the plant, and its valves, once.
-        estimation: of valves; None where there is none.
-        watched: what its observer remembers.
     """
 
     plan: Plan | None
-    answer: Answer | None
     tools: NmpcTools
-    estimation: ValveEstimation[NmpcTools] | None = None
-    watched: ObserverState | None = None
+    answer: Answer | None
 
 
 def intervals(nodes: int, stride: int, later: NDArray[np.int64]) -> NDArray[np.int64]:
@@ -154,26 +141,17 @@ class NmpcController:
         s, position = self.settings, np.array(observation.position)
         require_model(spec)
         s.check_idle(settable(spec.model), self.name, spec.model.name)
-        tools = self._tools(spec, s, position, banked=s.estimate_valves)
-        begun = tools.horizon.begin(observation)
-        begun["note"] = both(self._said, begun["note"])
-        estimation, watched = None, None
-        if tools.observer.bank is not None:
-            # Lags make other functions, which are interpreted: a robot does not wait until a compiler is done.
-            plain = replace(s, compiled=s.compiled and not tools.observer.bank.lags)
-            estimation = ValveEstimation(
-                spec, tools, lambda own: self._tools(own, plain, position, prepared=False), begun["note"]
-            )
-            watched = begun["observer"]
-        return NmpcState(**begun, plan=None, answer=None, tools=tools, estimation=estimation, watched=watched)
+
+        def make(own: PlantSpec, settings: NmpcSettings, first: bool) -> NmpcTools:
+            return self._tools(own, settings, position, first)
+
+        return NmpcState(**begun(make, spec, s, observation, self._said), answer=None)
 
     @staticmethod
-    def _tools(
-        spec: PlantSpec, s: NmpcSettings, position: Array, banked: bool = False, prepared: bool = True
-    ) -> NmpcTools:
-        horizon = Horizon(spec, s, lambda later: intervals(s.nodes, s.stride, later), position, banked, prepared)
-        angles, rate = s.joint_range(spec), followed_rates(horizon.observer.model)[0]
-        interval = s.stride * horizon.dt
+    def _tools(spec: PlantSpec, s: NmpcSettings, position: Array, first: bool = True) -> NmpcTools:
+        banked = first and s.estimate_valves
+        horizon = Horizon(spec, s, lambda later: intervals(s.nodes, s.stride, later), position, banked, first)
+        angles = s.joint_range(spec)
         if s.velocity:
             angles = np.hstack([angles, s.velocity * np.array([[-1.0], [1.0]]) * np.ones(len(position))])
         problem = Problem(
@@ -185,7 +163,7 @@ class NmpcController:
             horizon.rate,
             s.solver,
             s.compiled,
-            max(math.ceil(rate * interval / FOLLOWED), steps_in(horizon.observer.model, interval)),
+            horizon.parts,
         )
         return NmpcTools(horizon, problem)
 
@@ -196,7 +174,7 @@ class NmpcController:
             ObserverFault: where a joint was not measured for longer than the observer has patience.
         """
         pace = Pace(self._now, self.settings.deadline, state.expected)
-        state, known = self._looked(observation, state)
+        state, known = found_out(observation, state)
         s, horizon, problem = self.settings, state.tools.horizon, state.tools.problem
         view = horizon.look(observation, reference, state, known)
         shifted = None
@@ -222,17 +200,3 @@ class NmpcController:
         command, state = horizon.send(view, asked, observation, state)
         plan = state.plan if failed else answer.plan
         return command, replace(state, plan=plan, status=status, reason=reason, answer=answer, expected=pace.expected)
-
-    @staticmethod
-    def _looked(observation: Observation, state: NmpcState) -> tuple[NmpcState, ObserverState | None]:
-        """With the tools for the likeliest valves, and what their observer remembers by now; None without a bank."""
-        if state.estimation is None or state.watched is None:
-            return state, None
-        estimation = state.estimation
-        found = estimation.look(observation, state.tools, state.observer, state.watched)
-        state = replace(state, watched=found.watched)
-        if found.changed:
-            taken = found.tools.horizon.taken_over(state)
-            note = estimation.note(found.watched)
-            state = replace(state, tools=found.tools, plan=None, answer=None, note=note, **taken)
-        return state, found.observer

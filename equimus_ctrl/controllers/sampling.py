@@ -1,10 +1,11 @@
 """Sampling model-predictive control: at every instant many plans are tried, and the best ones followed.
 
-Where a robot's joints can follow a path, a plan is a spline of commands beyond what that path asks for, in half their
-ranges; of any other robot it looks where it leads, see ``controllers.sampling_policies``. Its cost is that of the NMPC:
-errors and efforts in allowances, and the regulator's cost behind the horizon. The nominal plan of the instant before,
-shifted, is always tried; the generator's numbers follow from the seed and the instant, so that a run gives the same
-bits each time.
+Where a robot's joints can follow a path, a plan is a spline of commands beyond what the regulator of
+``controllers.lqr`` would do along that path, in half their ranges; of any other robot it looks where it leads, see
+``controllers.sampling_policies``. Its cost is that of the NMPC: errors and efforts in allowances, and the regulator's
+cost behind the horizon. The nominal plan of the instant before, shifted, is always tried, and what the regulator itself
+would do, which is followed where no plan costs less: at rest nothing wanders. The generator's numbers follow from the
+seed and the instant, so that a run gives the same bits each time.
 """
 
 from __future__ import annotations
@@ -16,11 +17,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from equimus_ctrl.controllers import sampling_policies
-from equimus_ctrl.controllers.horizon import Horizon, HorizonState, Outlook, Pace
+from equimus_ctrl.controllers.horizon import Horizon, HorizonState, Outlook, Pace, begun, found_out
 from equimus_ctrl.controllers.sampling_policies import PolicyState, Waiting
 from equimus_ctrl.controllers.sampling_settings import LOOKS, SamplingSettings, kind_of, there_of
 from equimus_ctrl.errors import ConfigError
-from equimus_ctrl.estimation.observer import require_model
+from equimus_ctrl.estimation.observer import Observer, require_model
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.predictive.costs import Wanted, costs
 from equimus_ctrl.predictive.rollouts import Rollouts, make_rollouts, members_of
@@ -42,10 +43,11 @@ class Sampled:
 
     Attributes:
         time: when they begin [s].
-        nominal: (k, na) knots beyond what the reference asks for, to go on with, in half the range of commands.
+        nominal: (k, na) knots beyond what the regulator would do, to go on with, in half the range of commands.
         inputs: (steps, na) what reaches the valves of it [Pa].
         memory: of the method.
-        cost: (samples,) of the last round's plans, the nominal one first; infinite where a rollout diverged.
+        cost: (samples,) of the last round's plans, the nominal one and the regulator's first; infinite where a rollout
+            diverged.
         rounds: how many there were.
     """
 
@@ -63,13 +65,13 @@ class SamplingState(HorizonState):
 
     Attributes:
         plan: the latest plans, or None.
+        tools: made for the plant, and its valves, once.
         count: how many instants there have been, which the generator's numbers follow from.
-        tools: made for the plant once.
     """
 
     plan: Sampled | None
-    count: int
     tools: SamplingTools
+    count: int
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,6 +91,11 @@ class SamplingTools:
     """With what is usual in the place of 0."""
     method: Method
     spread: Spread
+
+    @property
+    def observer(self) -> Observer:
+        """That of the horizon."""
+        return self.horizon.observer
 
 
 class SamplingController:
@@ -139,7 +146,15 @@ class SamplingController:
             raise ConfigError(
                 f"{self.name}: a horizon of {s.horizon:g} s has {steps} steps, expected at least {max(s.knots, 2)}"
             )
-        horizon = Horizon(spec, s, lambda later: np.full(steps, s.stride, dtype=np.int64), position)
+
+        def make(own: PlantSpec, settings: SamplingSettings, first: bool) -> SamplingTools:
+            return self._tools(own, settings, position, steps, first)
+
+        return SamplingState(**begun(make, spec, s, observation, said), count=0)
+
+    def _tools(self, spec: PlantSpec, s: SamplingSettings, position: Array, steps: int, first: bool) -> SamplingTools:
+        banked = first and s.estimate_valves
+        horizon = Horizon(spec, s, lambda later: np.full(steps, s.stride, dtype=np.int64), position, banked, first)
         models = members_of(horizon.observer.model, s.ensemble, s.spread, s.seed)
         rollouts = make_rollouts(models, s.samples, steps, s.stride * horizon.dt, s.engine, s.compiled)
         spline = Spline(s.spline, s.knots, float(horizon.times[-1]))
@@ -148,10 +163,7 @@ class SamplingController:
         scale = np.where(np.isfinite(half) & (half > 0), half, USUAL_EFFORTS * horizon.weights.pressure)
         spread = Spread(s.least_deviation, s.deviation, s.temperature, s.elites)
         method = self._method or METHODS[s.method]
-        tools = SamplingTools(horizon, rollouts, spline, basis, s.joint_range(spec), scale, s, method, spread)
-        begun = horizon.begin(observation)
-        begun["note"] = both(said, begun["note"])
-        return SamplingState(**begun, plan=None, count=0, tools=tools)
+        return SamplingTools(horizon, rollouts, spline, basis, s.joint_range(spec), scale, s, method, spread)
 
     def step(
         self, observation: Observation, reference: Reference, state: SamplingState | PolicyState | Waiting
@@ -164,12 +176,14 @@ class SamplingController:
         if not isinstance(state, SamplingState):
             method = self._method or METHODS[state.settings.method]
             return sampling_policies.step(method, self._penalty, observation, reference, state)
-        horizon = state.tools.horizon
         pace = Pace(self._now, state.tools.settings.deadline, state.expected)
-        view = horizon.look(observation, reference, state)
+        state, known = found_out(observation, state)
+        horizon = state.tools.horizon
+        view = horizon.look(observation, reference, state, known)
+        middle = view.wanted.feed + horizon.regulated(view)
         nominal, memory, shifted = self._shifted(view, state)
-        found, reason = self._found(view, nominal, memory, state, pace)
-        fallback = self._inputs(state.tools, view, nominal[None])[0] if shifted else None
+        found, reason = self._found(view, middle, nominal, memory, state, pace)
+        fallback = self._inputs(state.tools, view, middle, nominal[None])[0] if shifted else None
         status, reason, asked = horizon.choose(
             view,
             None if found is None else found.inputs,
@@ -193,35 +207,36 @@ class SamplingController:
         return tools.spline.matrix(tools.spline.times + (view.arrival - plan.time)) @ plan.nominal, plan.memory, True
 
     def _found(
-        self, view: Outlook, nominal: Array, memory: Memory, state: SamplingState, pace: Pace
+        self, view: Outlook, middle: Array, nominal: Array, memory: Memory, state: SamplingState, pace: Pace
     ) -> tuple[Sampled | None, str]:
         """The plans of this instant, or why there are none."""
         tools = state.tools
         s, method = tools.settings, tools.method
         rng = np.random.Generator(np.random.Philox(key=s.seed, counter=[0, 0, 0, state.count]))
         # Knots beyond the limits of what can reach the valves would cost the same as those at them.
-        last = len(view.wanted.feed) - 1
-        feed = view.wanted.feed[np.minimum(tools.spline.times / tools.horizon.durations[0], last).astype(int)]
-        low, high = ((end - feed) / tools.scale for end in tools.horizon.reached)
-        cost, rounds = np.full(s.samples, np.inf), 0
+        at = np.minimum(tools.spline.times / tools.horizon.durations[0], len(middle) - 1).astype(int)
+        low, high = ((end - middle[at]) / tools.scale for end in tools.horizon.reached)
+        cost, rounds, regulated = np.full(s.samples, np.inf), 0, np.zeros((1, *nominal.shape))
         while rounds < s.iterations and not pace.enough():
-            drawn = method.draw(rng, nominal, memory, s.samples - 1, tools.spread)
-            candidates = np.clip(np.concatenate([nominal[None], drawn]), low, high)
-            cost = self._cost(tools, view, self._inputs(tools, view, candidates))
+            drawn = method.draw(rng, nominal, memory, s.samples - 2, tools.spread)
+            candidates = np.clip(np.concatenate([nominal[None], regulated, drawn]), low, high)
+            cost = self._cost(tools, view, self._inputs(tools, view, middle, candidates))
             rounds += 1
             if not np.isfinite(cost).any():
                 return None, "no sampled plan could be rolled out: all diverged"
             nominal, memory = method.update(candidates, cost, memory, tools.spread)
+            if np.argmin(cost[1:]) == 0 and cost[1] <= cost[0]:
+                nominal = candidates[1]
         if rounds == 0:
             return None, "no time was left for a solution"
-        inputs = self._inputs(tools, view, nominal[None])[0]
+        inputs = self._inputs(tools, view, middle, nominal[None])[0]
         plan = Sampled(view.arrival, frozen_array(nominal), frozen_array(inputs), memory, frozen_array(cost), rounds)
         return plan, ""
 
-    def _inputs(self, tools: SamplingTools, view: Outlook, knots: Array) -> Array:
-        """(n, steps, na) what reaches the drives of plans with knots (n, k, na), within all limits."""
+    def _inputs(self, tools: SamplingTools, view: Outlook, middle: Array, knots: Array) -> Array:
+        """(n, steps, na) what reaches the drives of plans whose knots (n, k, na) are beyond (steps, na)."""
         low, high = tools.horizon.reached
-        inputs = np.clip(view.wanted.feed + tools.basis @ (tools.scale * knots), low, high)
+        inputs = np.clip(middle + tools.basis @ (tools.scale * knots), low, high)
         if view.fixed is not None:
             inputs = np.where(np.isfinite(view.fixed), view.fixed, inputs)
         if tools.settings.pressure_rate:

@@ -30,7 +30,7 @@ from equimus_ctrl.models.dynamics import Dynamics
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.predictive.costs import Wanted
 from equimus_ctrl.predictive.energy import Energy
-from equimus_ctrl.predictive.forward import Forward, make_forward
+from equimus_ctrl.predictive.forward import Forward, make_forward, slopes_of
 from equimus_ctrl.predictive.measures import Measures, measures_of
 from equimus_ctrl.predictive.policies import Path, Plans, Policies, Settler, Valves, drawn, settler
 from equimus_ctrl.predictive.sampling import Memory, Method, Spread
@@ -49,6 +49,8 @@ MOST_STEPS = 400
 """Of a horizon: no motion is looked ahead over more control periods."""
 LACKING = 1e-6
 """Smallest singular value of M⁻¹B, as a share of the largest, that moves anything."""
+BESIDE = 1e-6
+"""Share of a robot's scales by which rollouts that slopes are differences of begin beside each other."""
 SAME = 1e-6
 """Share of a control period by which two instants may differ that are one."""
 
@@ -173,8 +175,8 @@ def _begun(method: Method, state: Waiting, pose: Array) -> PolicyState:
         pushed = np.abs(np.linalg.solve(dynamics.mass(pose), drive)) @ own.command
         strongest = np.where(pushed > LACKING * pushed.max(initial=0.0), pushed, strongest)
     sensor = sensor_settings(model.effects, spec.joints)
-    index = s.unexplained * strongest * dt**2 / s.observer.noise
-    follower = Predicted(dt, spec.joints, index, sensor[:, SENSOR_DELAY], s.observer.patience)
+    late, seen = sensor[:, SENSOR_DELAY], s.observer
+    follower = Predicted(dt, spec.joints, s.unexplained * strongest, seen.noise, late, seen.patience)
     q = behind(sensor, np.array(observation.position))
     command = np.array(observation.command)
     arriving = valves.shaped(command[None])[0]
@@ -266,9 +268,10 @@ def _observed(observation: Observation, state: PolicyState) -> PolicyState:
         raise ControllerError(
             f"{t.model.name}: the model that predicts its motion diverged at {observation.time:.3f} s"
         )
+    slopes = slopes_of(p.forward, state.known.state, mean[0], ahead, BESIDE * p.measures.state)
     y = behind(t.sensor, np.array(observation.position))
     measured = observation.time, observation.stamp, y
-    known = t.filter.corrected(state.known, ahead, p.forward.joints, p.forward.placed, measured)
+    known = t.filter.corrected(state.known, ahead, slopes, p.forward.joints, p.forward.placed, measured)
     return replace(state, known=known, behind=held[0], under_way=sent[1:])
 
 

@@ -2,7 +2,7 @@
 
 Plans are of two kinds, and the robot says which. Where its joints can follow a path, because each has an actuator or
 springs hold it, plans are what is commanded beyond that path's own commands (``controllers.sampling``). Where some
-joint has none, something may touch, or no equations of motion hold the robot, plans look where they lead
+joint has none, something touches as it begins, or no equations of motion hold the robot, plans look where they lead
 (``controllers.sampling_policies``).
 """
 
@@ -15,20 +15,21 @@ import numpy as np
 
 from equimus_ctrl.controllers.allowances import settable
 from equimus_ctrl.controllers.horizon import HorizonSettings
-from equimus_ctrl.engines.mjcf_realised import realise
+from equimus_ctrl.engines.contacts import touching
 from equimus_ctrl.errors import ConfigError, NotAvailable, unknown_name
 from equimus_ctrl.models.dynamics import Dynamics
 from equimus_ctrl.models.model import Model
-from equimus_ctrl.predictive.forward import ENGINES, can_touch
+from equimus_ctrl.predictive.forward import ENGINES
 from equimus_ctrl.predictive.sampling import METHODS
 from equimus_ctrl.predictive.splines import Spline
 from equimus_ctrl.robots.base import Robot
+from equimus_ctrl.robots.mjcf.robot import mjcf_of
 from equimus_ctrl.settings import FileSettings, setting
 from equimus_ctrl.types import Array
 
 FORMAT = "equimus-ctrl/sampling/2"
 FOLLOWS = "robots whose joints can follow a path"
-LOOKS = "robots with a joint without actuator, with contacts or without equations of motion"
+LOOKS = "robots with a joint without actuator, in contact or without equations of motion"
 """What some settings are for, as of the two kinds of plans."""
 
 
@@ -90,6 +91,7 @@ class SamplingSettings(HorizonSettings, FileSettings):
     margin: float = setting(0.0, FOLLOWS)
     deadline: float = setting(0.0, FOLLOWS)
     disturbance: bool = setting(True, FOLLOWS)
+    estimate_valves: bool = setting(True, FOLLOWS)
     spacing: float = setting(0.2, FOLLOWS)
     start_time: float = setting(0.3, FOLLOWS)
     method: str = "auto"
@@ -110,7 +112,7 @@ class SamplingSettings(HorizonSettings, FileSettings):
     risk: float = setting(1.0, FOLLOWS)
     effort: float = setting(0.1, LOOKS)
     energy: float = setting(4.0, LOOKS)
-    unexplained: float = setting(0.02, LOOKS)
+    unexplained: float = setting(0.002, LOOKS)
     seed: int = 0
 
     def __post_init__(self) -> None:
@@ -167,7 +169,7 @@ def kind_of(model: Model, pose: Array, engine: str) -> str:
         drive = Dynamics(model).authority(pose, np.zeros_like(pose))[0]
     except NotAvailable:
         return LOOKS
-    return FOLLOWS if np.any(drive != 0, axis=1).all() and not can_touch(realise(model).mujoco) else LOOKS
+    return FOLLOWS if np.any(drive != 0, axis=1).all() and not touching(mjcf_of(model.robot), [pose[None]]) else LOOKS
 
 
 def there_of(settings: SamplingSettings, robot: Robot, kind: str) -> tuple[str, ...]:

@@ -142,8 +142,9 @@ class HypothesisMoves(Scoring):
         proposals = [*self._promising(fitted, screened, choice), *self._splits(tried, fitted)]
         if self.settings.many_minima and not replaced:
             proposals += (Proposal(*begun) for begun in richer(self.data, fitted, pool))
-        options = self._best_converged(fitted, self._coarse_fits(fitted, proposals, rival), rival)
-        options = self._best_of_its_own_converged(fitted, options, rival)
+        coarse = self._coarse_fits(fitted, proposals, rival)
+        options = self._best_converged(fitted, coarse, rival)
+        options = self._best_of_its_own_converged(fitted, coarse, options, rival)
         return options, tried.having(*options)
 
     def _promising(self, fitted: Fitted, screened: Sequence[Screened], choice: Choice) -> list[Proposal]:
@@ -173,7 +174,7 @@ class HypothesisMoves(Scoring):
         for ranking in rankings:
             for s in self._different(ranking)[: choice.most]:
                 if choice.keep_all or max(s.gains) > 0:
-                    thetas = s.begins(self.data, fitted)
+                    thetas = s.begins(self.data, fitted, self.settings.many_minima)
                     if not fitted.hypothesis:
                         thetas.append(self.data.theta_of(self.data.free.start, s.hypothesis))
                     add(s.hypothesis, *((theta, fitted.fit.starts) for theta in thetas))
@@ -350,18 +351,25 @@ class HypothesisMoves(Scoring):
         return [after for _, after in computer.side_by_side(self.data.threads, converged, range(len(options)))]
 
     def _best_of_its_own_converged(
-        self, fitted: Fitted, options: Sequence[Fitted], rival: RivalDeviance
+        self, fitted: Fitted, coarse: Sequence[Fitted], options: Sequence[Fitted], rival: RivalDeviance
     ) -> list[Fitted]:
         """Options of which the best that does not stand for other parameters is converged too.
 
         It is taken where the best one is ``aliased``. A fit that is not at its minimum would seem to need fewer parts.
+
+        Args:
+            fitted: what was extended.
+            coarse: the fits that options come from, in their order.
+            options: of which those that differ from their coarse fits were fitted on.
+            rival: see ``_best_converged``.
         """
-        ranked = sorted(options, key=self.score)
-        if not ranked or not self.aliased(ranked[0]):
-            return list(options)
-        own = [option for option in ranked if not self.aliased(option)]
-        others = [option for option in options if all(option is not o for o in own)]
-        return [*others, *self._best_converged(fitted, own, rival)]
+        ranked = sorted(range(len(options)), key=lambda k: self.score(options[k]))
+        found = list(options)
+        if ranked and self.aliased(options[ranked[0]]):
+            own = next((k for k in ranked if not self.aliased(options[k])), None)
+            if own is not None and options[own] is coarse[own]:
+                (found[own],) = self._best_converged(fitted, [options[own]], rival)
+        return found
 
     def _or_of_other_sign(self, fitted: Fitted, option: Fitted) -> Fitted:
         """The best option, or the same law fitted from guesses of the other sign where that ends lower.

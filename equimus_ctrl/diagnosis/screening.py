@@ -75,15 +75,17 @@ class Screened:
     tried: tuple[Mapping[str, float], ...]
     strength: Array
 
-    def begins(self, data: Data, fitted: Fitted) -> list[Array]:
+    def begins(self, data: Data, fitted: Fitted, many_minima: bool) -> list[Array]:
         """(p,) each, θ to first order; beside other parts also part of the way there from no effect of the last one.
 
         The whole change may lead to a worse fit than none of it: other parts bend what is first order. In a direction
-        that these hardly tell it leads far, so the last one leaves all but the last part where it is.
+        that these hardly tell it leads far, into another minimum where there are many: then the last one leaves all but
+        the last part where it is.
 
         Args:
             data: what was measured.
             fitted: the hypothesis screened against.
+            many_minima: of fits, see ``SearchSettings``.
         """
         last = self.hypothesis[-1]
         nothing = Part(last.candidate, {**last.values, **last.candidate.fades_to()})
@@ -91,7 +93,8 @@ class Screened:
         if not fitted.hypothesis or not last.candidate.fades_to():
             return [self.begin]
         change, own = self.begin - start, np.arange(len(start)) >= len(start) - last.candidate.n_parameters
-        return [self.begin, *(start + share * change for share in SHORTER), start + SHORTER[-1] * own * change]
+        alone = [start + SHORTER[-1] * own * change] if many_minima else []
+        return [self.begin, *(start + share * change for share in SHORTER), *alone]
 
 
 @dataclass(frozen=True, eq=False)

@@ -243,7 +243,9 @@ def _engine_of_mjcf(
     robot, own = model.robot, mjcf_of(model.robot)
     if name == "mujoco":
         return MujocoEngine(own, dt, reason="it was asked for")
-    reason = next(iter(own.obstacles), None) or touching(own, positions)
+    reason = next(iter(own.obstacles), None)
+    if not reason and (names := touching(own, positions)):
+        reason = f"contacts, and {names[0]!r} touches {names[1]!r} in the recordings"
     if reason is None and name is None and too_large(own.mechanics().form):
         joints = len(robot.joint_names)
         return MujocoEngine(own, dt, reason=f"equations of motion of {joints} joints would take minutes to compile")

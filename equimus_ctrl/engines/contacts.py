@@ -1,8 +1,9 @@
-"""Whether bodies of a robot touch where recordings have it."""
+"""Whether bodies of a robot touch."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -14,8 +15,17 @@ LOOKED_AT = 400
 """So many poses are looked at, spread evenly."""
 
 
-def touching(robot: MjcfRobot, positions: Sequence[Array]) -> str | None:
-    """Which geoms touch in one of the poses (n, nj + np + nu), as a phrase; None where none do.
+def touching_now(model: Any, data: Any) -> tuple[str, str] | None:
+    """Which geoms touch in an ``MjData`` whose contacts are known, the first two; None where none do."""
+    for contact in data.contact[: data.ncon]:
+        if contact.dist < contact.includemargin and contact.exclude == 0:
+            first, second = (model.geom(int(g)).name or f"geom {int(g)}" for g in contact.geom)
+            return first, second
+    return None
+
+
+def touching(robot: MjcfRobot, positions: Sequence[Array]) -> tuple[str, str] | None:
+    """Which geoms touch in one of the poses (n, nj + np + nu); None where none do.
 
     Nothing is known of poses without the joints whose motion is prescribed or not measured.
     """
@@ -32,8 +42,6 @@ def touching(robot: MjcfRobot, positions: Sequence[Array]) -> str | None:
     for pose in poses[:: max(len(poses) // LOOKED_AT, 1)]:
         data.qpos[places] = pose
         mujoco.mj_fwdPosition(model, data)
-        for contact in data.contact[: data.ncon]:
-            if contact.dist < contact.includemargin and contact.exclude == 0:
-                names = [model.geom(int(g)).name or f"geom {int(g)}" for g in contact.geom]
-                return f"contacts, and {names[0]!r} touches {names[1]!r} in the recordings"
+        if (found := touching_now(model, data)) is not None:
+            return found
     return None

@@ -14,6 +14,7 @@ from equimus_ctrl.effects.command import advance_pressure
 from equimus_ctrl.effects.sensors import PLAY, SCALE, SENSOR_DELAY, follow, recall
 from equimus_ctrl.effects.sensors import shown as seen_by
 from equimus_ctrl.effects.valves import shaped_commands
+from equimus_ctrl.engines.contacts import touching_now
 from equimus_ctrl.engines.limits import MAX_SPEED
 from equimus_ctrl.errors import ConfigError, SimulationDiverged, unknown_name
 from equimus_ctrl.models.model import Model
@@ -209,6 +210,11 @@ class MujocoPlant:
         return self.position
 
     @property
+    def touched(self) -> str:
+        """What has touched since the reset, see ``types.KnowsContacts``."""
+        return self._touched
+
+    @property
     def position(self) -> Array:
         """(nj,) true joint angles [rad]; for figures and tests, not for controllers."""
         return np.array(self.data.qpos[self._qpos])
@@ -253,6 +259,7 @@ class MujocoPlant:
             self._befall(-math.inf)
         self._body.place(np.asarray(position), start.velocity, reaches)
         self._diverged = None
+        self._touched = self._contact(0.0)
         self._rng = np.random.default_rng(seed)
         self._step_count = 0
         self._control_count = 0
@@ -325,6 +332,8 @@ class MujocoPlant:
         slow = self._is_slow()
         sound = self._body.advance(pushes)
         self._step_count += 1
+        if not self._touched and self.data.ncon:
+            self._touched = self._contact(t)
         if self._remembers:
             self._remember()
             for j, row in enumerate(self._sensor):
@@ -336,6 +345,10 @@ class MujocoPlant:
                 "would be needed"
             )
             raise SimulationDiverged(self._diverged)
+
+    def _contact(self, time: float) -> str:
+        found = touching_now(self.mujoco_model, self.data)
+        return "" if found is None else f"{found[0]} touches {found[1]} at {time:.3g} s"
 
     def _is_slow(self) -> bool:
         return all(abs(speed) < MAX_SPEED for speed in self.data.qvel[self._dof].tolist())

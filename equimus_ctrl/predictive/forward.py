@@ -63,6 +63,23 @@ class Forward(Protocol):
         ...
 
 
+def slopes_of(forward: Forward, state: Array, arriving: Array, ahead: Array, beside: Array) -> Array:
+    """(2 nj, 2 nj) slopes of positions and rates a control period on by those of a state, as differences of rollouts.
+
+    Args:
+        forward: the robot.
+        state: (nx,) where it is.
+        arriving: (na,) commands that act.
+        ahead: (nx,) where that leads.
+        beside: (2 nj,) by how much others begin beside it. One that diverges counts as a motion at the same rate.
+    """
+    x, nj = forward.joints(state), len(beside) // 2
+    moved = x + np.diag(beside)
+    begun = np.array([forward.placed(state, own[:nj], own[nj:]) for own in moved])
+    after = forward.joints(forward(begun, np.tile(arriving, (2 * nj, 1)))) - forward.joints(ahead)
+    return np.where(np.isfinite(after), after, np.diag(beside)).T / beside
+
+
 def missing_in_exact(model: Model) -> str:
     """What the exact equations do not hold of a model that is rolled out, a phrase; empty where they hold all."""
     robot = changed_bodies(model.effects, model.robot)
@@ -162,7 +179,7 @@ class ExactForward:
             y += h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
         step = ca.Function("forward", [x, u], [ca.cse(ca.densify(y))])
         step = (native(step, "forward") if compiled else None) or step
-        self._calls = {1: Buffered(step), samples: Buffered(step.map(samples) if samples > 1 else step)}
+        self._calls = {n: Buffered(step.map(n) if n > 1 else step) for n in (1, 2 * nj, samples)}
 
     def begin(self, q: Array, v: Array, arrived: Array) -> Array:
         return np.concatenate([q, v])

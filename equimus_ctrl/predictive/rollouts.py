@@ -55,7 +55,7 @@ class Rollouts(Protocol):
 
 
 def members_of(model: Model, count: int, spread: float, seed: int) -> tuple[Model, ...]:
-    """A model and others like it.
+    """A model and others like it, where anything of it can vary.
 
     Args:
         model: the first.
@@ -66,6 +66,8 @@ def members_of(model: Model, count: int, spread: float, seed: int) -> tuple[Mode
     robot = changed_bodies(model.effects, model.robot)
     rest = tuple(effect for effect in model.effects if not isinstance(effect, BodyEffect))
     spreads = groups(robot, dict.fromkeys(("stiffness", "area", "damping", "mass"), spread))
+    if count < 2 or not spreads:
+        return (model,)
     rows = latin_hypercube(count - 1, len(spreads), np.random.default_rng(seed))
     return (model, *(Model(perturbed(robot, spreads, row), rest, model.phase) for row in rows))
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import inspect
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -24,8 +24,9 @@ from equimus_ctrl.robots.elastic.morphology import elastic_of
 from equimus_ctrl.scenarios.registry import SCENARIOS, ScenarioEntry, first_paragraph
 from equimus_ctrl.scenarios.scenario import Scenario, ScenarioContext
 from equimus_ctrl.scenarios.scoring import Score, score_run
+from equimus_ctrl.settings import both
 from equimus_ctrl.simulate import run
-from equimus_ctrl.types import Controller, Counts, CountsInstants, Ends, Plant, Recording, Run
+from equimus_ctrl.types import Controller, Counts, CountsInstants, Ends, KnowsContacts, Plant, Recording, Run
 
 
 def recordings_of(folder: Path | None = None) -> Callable[[str], tuple[Recording, ...]]:
@@ -235,6 +236,9 @@ def run_scenario(
         raise
     finally:
         machine.close()
+    if isinstance(machine, KnowsContacts) and machine.touched:
+        said = f"{machine.touched}, and contacts are in no equations of motion that a controller computes with"
+        outcome = replace(outcome, note=both(outcome.note, said))
     counts = machine.counts if isinstance(machine, CountsInstants) else None
     return ScenarioRun(scenario, label, outcome, score_run(outcome, scenario), model, plant_name, counts)
 
