@@ -47,7 +47,7 @@ def test_damping_that_drifts_depends_on_the_time_since_the_recording_began() -> 
     found = linearise_fit(data, data.base(), (JointNoise(NOISE),))
     assert found is not None
     best = force_candidates(found)[0]
-    assert best.group.depends_on == "time·vel.hinge" and best.found.share > 0.8
+    assert best.family.depends_on == "time·vel.hinge" and best.found.share > 0.8
     (axis,) = best.group.axes
     assert axis.knots[[0, -1]] == pytest.approx([0.0, 6.0], abs=0.05)
     # The force beside the mean damping: none in the middle, and of either sign at the ends.
