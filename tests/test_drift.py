@@ -48,8 +48,8 @@ def test_damping_that_drifts_depends_on_the_time_since_the_recording_began() -> 
     assert found is not None
     best = force_candidates(found)[0]
     assert best.family.depends_on == "time·vel.hinge" and best.found.share > 0.8
-    (axis,) = best.group.axes
+    (axis,) = best.family.axes
     assert axis.knots[[0, -1]] == pytest.approx([0.0, 6.0], abs=0.05)
     # The force beside the mean damping: none in the middle, and of either sign at the ends.
-    ends = best.group.curve(best.found.coefficients, np.array([0.5, 3.0, 5.5]))
+    ends = best.family.curve(best.found.coefficients, np.array([0.5, 3.0, 5.5]))
     assert ends[0] > 0.02 and abs(ends[1]) < 0.01 and ends[2] < -0.02
