@@ -24,6 +24,7 @@ CASES = {"cartpole": 6.0, "acrobot": 10.0}
 def main() -> None:
     parser = argparse.ArgumentParser(description="Time until upright, seed by seed.")
     parser.add_argument("--seeds", type=int, default=20)
+    parser.add_argument("--first", type=int, default=0, help="seed")
     parser.add_argument(
         "--noise", type=float, default=1e-3, help="of measured positions, standard deviation [rad or m]"
     )
@@ -33,7 +34,7 @@ def main() -> None:
     for name in given.robot or CASES:
         model, limit, times, steps = workflow.load_model(EXAMPLES / f"{name}.xml"), CASES[name], [], []
         begun = time.perf_counter()
-        for seed in range(given.seeds):
+        for seed in range(given.first, given.first + given.seeds):
             controller = eq.SamplingController(eq.SamplingSettings(seed=seed, samples=given.samples))
             options = {"duration": str(limit + 1.0)}
             done = workflow.run_scenario(
