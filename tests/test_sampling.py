@@ -106,10 +106,11 @@ def test_wrong_numbers_leave_no_offset() -> None:
 
 
 @pytest.mark.slow
-def test_more_plans_cost_less() -> None:
+def test_more_plans_cost_less_where_limits_are_in_the_way() -> None:
+    """Where none are, the regulator's own plan is the best of any number."""
     found = []
     for samples in (4, 16, 256):
-        own = controller(method="predictive_sampling", samples=samples)
+        own = controller(method="predictive_sampling", samples=samples, pressure_rate=1e5)
         observation, state = begun(own)
         costs = []
         for k in range(1, 20):
@@ -218,7 +219,7 @@ def test_random_states_and_references_all_get_a_command(method: str) -> None:
     rng = np.random.default_rng(7)
     low, high = LEG.joint_range
     for options, name in (({}, "late"), ({"pressure_rate": 2e5}, "lags")):
-        own = controller(method=method, **options)
+        own = controller(method=method, estimate_valves=False, **options)
         observation, first = begun(own, KNOWN[name])
         state = first
         for k in range(50):
