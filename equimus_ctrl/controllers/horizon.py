@@ -212,9 +212,11 @@ class Horizon:
             actuator obeys the next command later than the first one does.
         pose: (nj,) where the robot begins [rad]; its home by default.
         banked: whether the observer keeps a bank of valves, where there is anything to be found.
-        prepared: whether gains are worked out for the whole grid of poses beforehand.
+        known: another one, of the same robot without what was found of its valves: what it allows is kept, and gains
+            are worked out as they are needed; by default gains of a whole grid of poses are beforehand.
 
     Attributes:
+        allowed: what errors and efforts are allowed.
         observer: of the plant.
         inverse: what it takes to follow.
         schedule: the regulator behind the horizon.
@@ -237,12 +239,16 @@ class Horizon:
         periods: Callable[[NDArray[np.int64]], NDArray[np.int64]],
         pose: Array | None = None,
         banked: bool = False,
-        prepared: bool = True,
+        known: Horizon | None = None,
     ) -> None:
         self.settings, self.dt = settings, spec.control_dt
         require_model(spec)
         begins = spec.model.home if pose is None else pose
-        allowed = allowances(spec, settings, np.zeros(len(spec.joints)) if begins is None else begins)
+        if known is None:
+            allowed = allowances(spec, settings, np.zeros(len(spec.joints)) if begins is None else begins)
+        else:  # they are stable with what is usually late, and finding that out is no reason to ask less
+            allowed = known.allowed
+        self.allowed = allowed
         bank = bank_of(spec, banked)
         self.observer = Observer.of(spec, settings.observer, settings.compiled, allowed.noise_model, bank)
         model = self.observer.model
@@ -263,7 +269,7 @@ class Horizon:
         self.rate: Array = np.minimum(spec.command_rate, rate)
         self._note, self._driven = allowed.note, allowed.driven
         self.schedule = Schedule(model, settings.regulator(), self.dt, allowed)
-        if prepared:
+        if known is None:
             self.schedule.prepare()
         lagging = np.flatnonzero(valve_lag(valves_of(model)) > 0)
         nj = self.prediction.nj
@@ -478,7 +484,7 @@ AnySettings = TypeVar("AnySettings", bound=HorizonSettings)
 
 
 def begun(
-    make: Callable[[PlantSpec, AnySettings, bool], Planning],
+    make: Callable[[PlantSpec, AnySettings, Horizon | None], Planning],
     spec: PlantSpec,
     settings: AnySettings,
     observation: Observation,
@@ -487,21 +493,21 @@ def begun(
     """The fields of a ``HorizonState`` for a robot that has long been at rest, without a plan.
 
     Args:
-        make: tools of a spec and settings; the last says whether they are the first, with a bank of valves and all that
-            can be prepared before the robot moves.
+        make: tools of a spec and settings; the last is the horizon of the first ones, and None of these, which have a
+            bank of valves and all that can be prepared before the robot moves.
         spec: of the plant.
         settings: of the controller.
         observation: the first.
         said: of the settings, for a person to read.
     """
-    tools = make(spec, settings, True)
+    tools = make(spec, settings, None)
     own = tools.horizon.begin(observation)
     own["note"] = both(said, own["note"])
     bank, estimation = tools.observer.bank, None
     if bank is not None:
         # Lags make other functions, which are interpreted: a robot does not wait until a compiler is done.
         plain = replace(settings, compiled=settings.compiled and not bank.lags)
-        estimation = ValveEstimation(spec, tools, lambda later: make(later, plain, False), own["note"])
+        estimation = ValveEstimation(spec, tools, lambda later: make(later, plain, tools.horizon), own["note"])
     watched = None if bank is None else own["observer"]
     return {**own, "plan": None, "tools": tools, "estimation": estimation, "watched": watched}
 

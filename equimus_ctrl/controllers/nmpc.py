@@ -142,15 +142,15 @@ class NmpcController:
         require_model(spec)
         s.check_idle(settable(spec.model), self.name, spec.model.name)
 
-        def make(own: PlantSpec, settings: NmpcSettings, first: bool) -> NmpcTools:
-            return self._tools(own, settings, position, first)
+        def make(own: PlantSpec, settings: NmpcSettings, known: Horizon | None) -> NmpcTools:
+            return self._tools(own, settings, position, known)
 
         return NmpcState(**begun(make, spec, s, observation, self._said), answer=None)
 
     @staticmethod
-    def _tools(spec: PlantSpec, s: NmpcSettings, position: Array, first: bool = True) -> NmpcTools:
-        banked = first and s.estimate_valves
-        horizon = Horizon(spec, s, lambda later: intervals(s.nodes, s.stride, later), position, banked, first)
+    def _tools(spec: PlantSpec, s: NmpcSettings, position: Array, known: Horizon | None = None) -> NmpcTools:
+        banked = known is None and s.estimate_valves
+        horizon = Horizon(spec, s, lambda later: intervals(s.nodes, s.stride, later), position, banked, known)
         angles = s.joint_range(spec)
         if s.velocity:
             angles = np.hstack([angles, s.velocity * np.array([[-1.0], [1.0]]) * np.ones(len(position))])

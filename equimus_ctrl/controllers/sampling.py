@@ -147,14 +147,16 @@ class SamplingController:
                 f"{self.name}: a horizon of {s.horizon:g} s has {steps} steps, expected at least {max(s.knots, 2)}"
             )
 
-        def make(own: PlantSpec, settings: SamplingSettings, first: bool) -> SamplingTools:
-            return self._tools(own, settings, position, steps, first)
+        def make(own: PlantSpec, settings: SamplingSettings, known: Horizon | None) -> SamplingTools:
+            return self._tools(own, settings, position, steps, known)
 
         return SamplingState(**begun(make, spec, s, observation, said), count=0)
 
-    def _tools(self, spec: PlantSpec, s: SamplingSettings, position: Array, steps: int, first: bool) -> SamplingTools:
-        banked = first and s.estimate_valves
-        horizon = Horizon(spec, s, lambda later: np.full(steps, s.stride, dtype=np.int64), position, banked, first)
+    def _tools(
+        self, spec: PlantSpec, s: SamplingSettings, position: Array, steps: int, known: Horizon | None
+    ) -> SamplingTools:
+        banked = known is None and s.estimate_valves
+        horizon = Horizon(spec, s, lambda later: np.full(steps, s.stride, dtype=np.int64), position, banked, known)
         models = members_of(horizon.observer.model, s.ensemble, s.spread, s.seed)
         rollouts = make_rollouts(models, s.samples, steps, s.stride * horizon.dt, s.engine, s.compiled)
         spline = Spline(s.spline, s.knots, float(horizon.times[-1]))
