@@ -17,7 +17,7 @@ from typing import Any, Literal, Protocol, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from equimus_ctrl.controllers.allowances import allowances
+from equimus_ctrl.controllers.allowances import Allowances, allowances
 from equimus_ctrl.controllers.inverse import Inverse, InverseState, Target
 from equimus_ctrl.controllers.lqr import CALM, LqrSettings, Schedule, waiting
 from equimus_ctrl.controllers.preview import Ahead, Preview, Sight
@@ -244,11 +244,11 @@ class Horizon:
         self.settings, self.dt = settings, spec.control_dt
         require_model(spec)
         begins = spec.model.home if pose is None else pose
-        if known is None:
-            allowed = allowances(spec, settings, np.zeros(len(spec.joints)) if begins is None else begins)
-        else:  # they are stable with what is usually late, and finding that out is no reason to ask less
-            allowed = known.allowed
-        self.allowed = allowed
+        # These are stable with what is usually late: finding that out is no reason to ask less.
+        allowed = known.allowed if known else allowances(
+            spec, settings, np.zeros(len(spec.joints)) if begins is None else begins
+        )  # fmt: skip
+        self.allowed: Allowances = allowed
         bank = bank_of(spec, banked)
         self.observer = Observer.of(spec, settings.observer, settings.compiled, allowed.noise_model, bank)
         model = self.observer.model
