@@ -121,4 +121,4 @@ def test_the_leg_s_validation_refuses_other_robots(tmp_path: Path, capsys: pytes
     path = tmp_path / "robot.xml"
     path.write_text(PENDULUM.format(drive=MOTOR))
     assert main(["validate", "--model", str(path)]) == 2
-    assert "is a robot without elastic actuators, which this is for" in " ".join(capsys.readouterr().err.split())
+    assert "has no elastic actuators, which this is for" in " ".join(capsys.readouterr().err.split())

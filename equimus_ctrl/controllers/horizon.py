@@ -12,7 +12,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any, Literal, Protocol, TypeVar
+from typing import Any, Literal, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,18 +27,16 @@ from equimus_ctrl.errors import ConfigError, ControllerError
 from equimus_ctrl.estimation.observer import Estimate, Observer, ObserverSettings, ObserverState, require_model
 from equimus_ctrl.models.buffered import Buffered
 from equimus_ctrl.models.linear import valve_lag
-from equimus_ctrl.models.prediction import Prediction, followed_rates, prediction, steps_in
+from equimus_ctrl.models.prediction import Prediction, parts_in, prediction
 from equimus_ctrl.models.solved import valves_of
 from equimus_ctrl.predictive.costs import Wanted, Weights
-from equimus_ctrl.settings import OTHERS, PRESSURES, both, setting
+from equimus_ctrl.settings import OTHERS, PRESSURES, setting
 from equimus_ctrl.types import Array, Observation, PlantSpec, Reference, frozen_array
 
 Status = Literal["converged", "iterated", "sampled", "shifted", "lqr", "hold"]
 FALLBACKS = ("shifted", "lqr", "hold")
 """Statuses of commands that no plan of this instant stands behind."""
 
-FOLLOWED = 2.0
-"""Fastest rate times step that a Runge–Kutta step is given; it would be stable to 2.78. Intervals are divided."""
 SLOWER = 1.2
 """By so much may an iteration take longer than at the instant before and still count as typical."""
 
@@ -362,8 +360,7 @@ class Horizon:
     @cached_property
     def parts(self) -> int:
         """Into how many steps of the model an interval is divided."""
-        model, longest = self.observer.model, float(self.durations.max())
-        return max(math.ceil(followed_rates(model)[0] * longest / FOLLOWED), steps_in(model, longest))
+        return parts_in(self.observer.model, float(self.durations.max()))
 
     @cached_property
     def _forward(self) -> Buffered:
@@ -469,60 +466,6 @@ class Horizon:
             scale = np.concatenate([np.broadcast_to(x, nj) for x in (self.weights.angle, self.weights.rate)])
             last[np.diag_indices(2 * nj)] = math.sqrt(self.durations[-1]) / scale
         return last
-
-
-class Planning(Protocol):
-    """What is made once for a plant, or for one hypothesis about its valves."""
-
-    @property
-    def horizon(self) -> Horizon: ...
-    @property
-    def observer(self) -> Observer: ...
-
-
-AnySettings = TypeVar("AnySettings", bound=HorizonSettings)
-
-
-def begun(
-    make: Callable[[PlantSpec, AnySettings, Horizon | None], Planning],
-    spec: PlantSpec,
-    settings: AnySettings,
-    observation: Observation,
-    said: str = "",
-) -> dict[str, Any]:
-    """The fields of a ``HorizonState`` for a robot that has long been at rest, without a plan.
-
-    Args:
-        make: tools of a spec and settings; the last is the horizon of the first ones, and None of these, which have a
-            bank of valves and all that can be prepared before the robot moves.
-        spec: of the plant.
-        settings: of the controller.
-        observation: the first.
-        said: of the settings, for a person to read.
-    """
-    tools = make(spec, settings, None)
-    own = tools.horizon.begin(observation)
-    own["note"] = both(said, own["note"])
-    bank, estimation = tools.observer.bank, None
-    if bank is not None:
-        # Lags make other functions, which are interpreted: a robot does not wait until a compiler is done.
-        plain = replace(settings, compiled=settings.compiled and not bank.lags)
-        estimation = ValveEstimation(spec, tools, lambda later: make(later, plain, tools.horizon), own["note"])
-    watched = None if bank is None else own["observer"]
-    return {**own, "plan": None, "tools": tools, "estimation": estimation, "watched": watched}
-
-
-def found_out(observation: Observation, state: AnyState) -> tuple[AnyState, ObserverState | None]:
-    """With the tools for the likeliest valves, and what their observer remembers by now; None without a bank."""
-    if state.estimation is None or state.watched is None:
-        return state, None
-    estimation = state.estimation
-    found = estimation.look(observation, state.tools, state.observer, state.watched)
-    state = replace(state, watched=found.watched)
-    if found.changed:
-        taken, note = found.tools.horizon.taken_over(state), estimation.note(found.watched)
-        state = replace(state, tools=found.tools, plan=None, note=note, **taken)
-    return state, found.observer
 
 
 class Pace:

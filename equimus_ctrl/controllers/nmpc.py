@@ -17,7 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from equimus_ctrl.controllers.allowances import settable
-from equimus_ctrl.controllers.horizon import Horizon, HorizonSettings, HorizonState, Pace, begun, found_out
+from equimus_ctrl.controllers.horizon import Horizon, HorizonSettings, HorizonState, Pace
+from equimus_ctrl.controllers.planning import begun, found_out
 from equimus_ctrl.errors import ConfigError
 from equimus_ctrl.estimation.observer import Observer, require_model
 from equimus_ctrl.predictive.problem import Answer, Plan, Problem

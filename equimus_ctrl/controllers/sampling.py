@@ -17,7 +17,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from equimus_ctrl.controllers import sampling_policies
-from equimus_ctrl.controllers.horizon import Horizon, HorizonState, Outlook, Pace, begun, found_out
+from equimus_ctrl.controllers.horizon import Horizon, HorizonState, Outlook, Pace
+from equimus_ctrl.controllers.planning import begun, found_out
 from equimus_ctrl.controllers.sampling_policies import PolicyState, Waiting
 from equimus_ctrl.controllers.sampling_settings import LOOKS, SamplingSettings, kind_of, there_of
 from equimus_ctrl.errors import ConfigError

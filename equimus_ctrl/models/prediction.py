@@ -12,6 +12,7 @@ smoothed, for it is to have derivatives; what sticks in fact creeps here.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
@@ -43,6 +44,8 @@ LEAST = 1.0
 """Commands below count as this where their power is taken [Pa]: it would have no slope at 0."""
 GAMMA = 1 - 2**-0.5
 """γ of ROS2 with which it forgets what is infinitely fast."""
+FOLLOWED = 2.0
+"""Fastest rate times step that a Runge–Kutta step is given; it would be stable to 2.78. Spans are divided."""
 FOLLOWS = 0.05
 """Share of its size by which a mode may be off after a control period or an interval of a plan."""
 MOST_STEPS = 50
@@ -153,6 +156,11 @@ def steps_in(model: Model, span: float) -> int:
             break
         count += 1
     return count
+
+
+def parts_in(model: Model, span: float) -> int:
+    """Into how many steps a span [s] is divided, explicit or implicit, so that the model is followed and is stable."""
+    return max(math.ceil(followed_rates(model)[0] * span / FOLLOWED), steps_in(model, span))
 
 
 @lru_cache(maxsize=16)

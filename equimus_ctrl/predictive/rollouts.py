@@ -26,15 +26,13 @@ from equimus_ctrl.models.buffered import Buffered
 from equimus_ctrl.models.linear import fastest_rates
 from equimus_ctrl.models.mjcf import SolverSettings
 from equimus_ctrl.models.model import Model
-from equimus_ctrl.models.prediction import followed_rates, prediction, steps_in
+from equimus_ctrl.models.prediction import FOLLOWED, parts_in, prediction
 from equimus_ctrl.models.spread import groups, latin_hypercube, perturbed
 from equimus_ctrl.robots.elastic.morphology import Morphology
 from equimus_ctrl.types import Array
 
 MUJOCO_SETTINGS = SolverSettings(timestep=1 / 120, integrator="implicitfast", softness=0.01)
 """Over a third of a second within 1 mrad at the leg's hip and 6 mrad at its knee; a quarter of the time of RK4."""
-FOLLOWED = 2.0
-"""Fastest rate times step that an integrator is given."""
 
 
 class Rollouts(Protocol):
@@ -144,8 +142,7 @@ class ExactRollouts:
 
     def __init__(self, models: Sequence[Model], samples: int, steps: int, step: float, compiled: bool = True) -> None:
         predictions = [prediction(model, stops=False) for model in models]
-        rate = max(followed_rates(model)[0] for model in models)
-        self._parts = max(math.ceil(rate * step / FOLLOWED), *(steps_in(model, step) for model in models))
+        self._parts = max(parts_in(model, step) for model in models)
         self._nx, self._steps = predictions[0].nx, steps
         self._calls: list[Buffered] = []
         for one in predictions:

@@ -73,7 +73,7 @@ def load_elastic(path: Path | str | None = None) -> Model:
     model = load_model(path)
     if "lengths" not in model.robot.offers:
         raise ConfigError(
-            f"{path}: is a robot without elastic actuators, which this is for; identify, diagnose, prove, score, "
+            f"{path}: has no elastic actuators, which this is for; identify, diagnose, prove, score, "
             "sensitivity, list parameters and recordings check take it"
         )
     return model
