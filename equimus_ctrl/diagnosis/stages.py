@@ -1,7 +1,7 @@
 """A diagnosis, stage by stage: each takes what is known, a ``State``, and returns what is known after it.
 
-    refit → search → groups → confirmation → unexplained → discretization → hidden_starts → validation → other_holdout
-    → alternatives → units → report
+    refit → search → groups → initial_states → confirmation → unexplained → discretization → hidden_starts → validation
+    → other_holdout → alternatives → units → report
 
 ``carried_out`` runs them in this order; ``STAGES`` has those between the refit and the report, which is made in
 ``diagnosis.reporting``. ``other_holdout`` is a second diagnosis, with other trials held out, by the stages before it.
@@ -26,6 +26,8 @@ from equimus_ctrl.diagnosis.findings import equivalents, named_candidate, named_
 from equimus_ctrl.diagnosis.fitting import Data, Fitted
 from equimus_ctrl.diagnosis.holdout import Split
 from equimus_ctrl.diagnosis.hypothesis import Candidate, Part
+from equimus_ctrl.diagnosis.initial_states import NAME as INITIAL_STATES
+from equimus_ctrl.diagnosis.initial_states import free_initial_states
 from equimus_ctrl.diagnosis.policy import Thresholds
 from equimus_ctrl.diagnosis.refit import nominal_residuals, refit, searched_from_short
 from equimus_ctrl.diagnosis.residuals import ResidualAboveNoise, Unexplained
@@ -381,7 +383,7 @@ def repeat_with_other_holdout(state: State) -> State:
         f"{names[0]}, held out at first, showed what the other trials do not; so they were fitted, and {names[1]} "
         "judged."
     )
-    own = replace(other, progress=inputs.progress)
+    own = replace(second.inputs, progress=inputs.progress)
     second = replace(second, inputs=own, decisions=told, notes=(*second.notes, note))
     reason = f"held out, {names[0]} showed what the other trials do not"
     return second.decided(OTHER_HOLDOUT, f"held out instead: {names[1]}", reason)
@@ -436,6 +438,7 @@ OTHER_HOLDOUT = "other_holdout"
 ORDER = (
     Stage("search", find_effects, "more effects"),
     Stage("groups", tell_apart, "what differs between groups of trials"),
+    Stage(INITIAL_STATES, free_initial_states, "what effects with a memory begin with"),
     Stage(CONFIRMATION, confirm, "what held-out trials confirm in place of others", "held-out trials", 0.82),
     Stage("unexplained", explain_residuals, "what remains unexplained", "residual forces", 0.86),
     Stage("discretization", take_off_step_error, "the error of the physics step"),

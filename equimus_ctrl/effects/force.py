@@ -41,6 +41,8 @@ class ForceEffect(Effect):
     side = "force"
     simulated = True
     n_states: ClassVar[int] = 0
+    begins_anywhere: ClassVar[bool] = False
+    """Whether its states are between −1 and 1, and no recording shows the way that led to them where it starts."""
     quick_states: ClassVar[bool] = False
     """Whether its states may be faster than steps that follow the motion: then steps are divided as they ask for."""
     scales: ClassVar[bool] = False

@@ -78,6 +78,7 @@ class Hysteresis(ForceEffect):
     summary = "force depends on the path of the length (Bouc–Wen)"
     exclusive = "hysteresis"
     n_states = 1
+    begins_anywhere = True
     neutral = {"size": 0.0}  # noqa: RUF012
     leg_sizes = (
         Size("size", 0.02, 1.5, "as dry friction along an actuator"),

@@ -15,7 +15,7 @@ from equimus_ctrl.effects.sensors import PLAY
 from equimus_ctrl.effects.valves import ShapingEffect, shaped_commands
 from equimus_ctrl.engines.drive_forces import drive_forces
 from equimus_ctrl.engines.encoding import Encoded, grouped
-from equimus_ctrl.engines.hidden import Commands, first_activations, lead, led_states
+from equimus_ctrl.engines.hidden import Commands, first_activations, lead, led_states, with_unknown
 from equimus_ctrl.engines.lane_functions import LANES
 from equimus_ctrl.engines.limits import MOST_DIVISOR
 from equimus_ctrl.engines.steps import warn_if_coarse
@@ -49,7 +49,8 @@ def simulate(
             every trial.
         trials: what is predicted.
         starts: for each trial (k, nj) joint positions at the start, or (k, 2 nj) positions and velocities, one row a
-            model [rad or m, rad/s or m/s]; the trial's own by default.
+            model [rad or m, rad/s or m/s]; the trial's own by default. What else may begin anywhere follows them, see
+            ``Trial.begun`` and ``hidden.with_unknown``.
         dt: physics step [s].
         threads: to use; as many as there are cores by default. The result does not depend on it.
         check: warn where the step is too long for the first model.
@@ -198,18 +199,20 @@ class _Block:
 
         Args:
             trials: what is done.
-            starts: for each trial (k, nj), (k, 2 nj) or (k, 2 nj + 2 nl), for all models, see ``Trial.begun``.
+            starts: for each trial (k, nj), (k, 2 nj), (k, 2 nj + 2 nl) or (k, 2 nj + 2 nl + nm), for all models, see
+                ``simulate``.
             dt: physics step [s].
             results: for each trial, written.
         """
         k, nj, robot = len(self.kinds), results[0].position.shape[2], self.coded.models[0].robot
         q0, v0 = np.empty((2, len(trials), k, nj + len(robot.prescribed_names) + len(robot.unmeasured_names)))
+        known = 2 * (nj + robot.loose_count)
         for t, trial in enumerate(trials):
             row = trial.position if starts is None else starts[t][self.models]
             q, speed = np.broadcast_to(row[..., :nj], (k, nj)), row[..., nj : 2 * nj]
             if not speed.size:
                 speed = np.zeros(nj) if trial.velocity is None else trial.velocity
-            q0[t], v0[t] = trial.begun(robot, q, np.broadcast_to(speed, (k, nj)), row[..., 2 * nj :])
+            q0[t], v0[t] = trial.begun(robot, q, np.broadcast_to(speed, (k, nj)), row[..., 2 * nj : known])
         commands, before = self.commands(trials[0])
         given = Commands(commands, before, self.valve, self.follow)
         first = np.zeros((len(trials), *self.follow.shape[:2]))
@@ -231,6 +234,9 @@ class _Block:
         hidden = led_states(
             self.lanes, self.parameters, trials[0].times, given, self.sensor, led, (start, q, v), dt, linear
         )
+        if starts is not None and starts[0].shape[-1] > known:
+            unknown = np.array([rows[self.models, known:] for rows in starts])
+            hidden = with_unknown(self.coded, self.rows, hidden, unknown)
         self.lanes.kernel.run_trials(
             self.lanes.robot,
             self.parameters,

@@ -16,6 +16,8 @@ from equimus_ctrl.engines.encoding import Encoded
 from equimus_ctrl.engines.lane_equations import Lanes
 from equimus_ctrl.engines.lane_functions import LANES
 from equimus_ctrl.engines.trials import Trial
+from equimus_ctrl.models.augmented import slots_of, unknown_states
+from equimus_ctrl.models.model import Model
 from equimus_ctrl.models.symbolic import build
 from equimus_ctrl.recordings.smoothing import RecordedMotion
 from equimus_ctrl.robots.base import Robot
@@ -130,6 +132,8 @@ def led_states(
 ) -> Array:
     """(trials, nz·LANES) hidden states where trials of one history start; no rows where nothing leads there.
 
+    Those of trials that start with the recording are nan: they begin as if nothing had been before.
+
     Args:
         lanes: equations of the models.
         parameters: (k, np) of up to LANES models.
@@ -149,7 +153,37 @@ def led_states(
         lanes.robot, parameters, times, given.commands, given.before, given.valve, given.follow, led.integrals, sensor,
         led.times, led.motion, led.reading, q0, v0, at, dt, linear, found,
     )  # fmt: skip
+    found[at <= times[0]] = np.nan
     return found
+
+
+def with_unknown(coded: Encoded, rows: slice, hidden: Array, unknown: Array) -> Array:
+    """``led_states`` with those states of effects that begin anywhere as numbers say.
+
+    Args:
+        coded: models.
+        rows: which of them.
+        hidden: what ``led_states`` found.
+        unknown: (trials, k, nm) numbers of any size, whose tanh the states of each model's effects are, in the order
+            of ``models.augmented.unknown_states``; those behind the last one say nothing.
+    """
+    states = [_unknown_states(coded, model) for model in coded.models[rows]]
+    if not unknown.shape[2] or not any(states):
+        return hidden
+    count = coded.lanes.n_states
+    found = hidden.copy() if len(hidden) else np.full((len(unknown), count * LANES), np.nan)
+    by_lane = found.reshape(len(found), count, LANES)
+    for lane, own in enumerate(states):
+        given = min(len(own), unknown.shape[2])
+        by_lane[:, own[:given], lane] = np.tanh(unknown[:, lane, :given])
+    return found
+
+
+def _unknown_states(coded: Encoded, model: Model) -> list[int]:
+    """Rows of a model's hidden states that begin anywhere; the robot's own states come before those of laws."""
+    slots, places = slots_of(coded.form, coded.laws), coded.mechanics[0].law_places
+    own = coded.lanes.n_states - sum(slot.law.n_states for slot in slots)
+    return [own + k for k in unknown_states(slots, model.effects, places["joint"], places["actuator"])]
 
 
 def _integrated(robot: Robot, trials: Sequence[Trial], given: Commands, begun: Array, dt: float, first: Array) -> Array:

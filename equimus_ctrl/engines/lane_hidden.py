@@ -347,7 +347,8 @@ def hidden_starts(
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def put_hidden(robot: Layout, w: Array, states: Array) -> None:
-    """Put hidden states (nz·LANES) into the lanes."""
+    """Put hidden states (nz·LANES) into the lanes, where they are numbers."""
     z = robot[ROW_X] + 2 * robot[N_JOINTS]
     for i in range(robot[N_STATES] * LANES):
-        w[z * LANES + i] = states[i]
+        if not np.isnan(states[i]):
+            w[z * LANES + i] = states[i]

@@ -217,8 +217,8 @@ def run_trials(
             could not be had.
         linear: (na,) whether an actuator's commands go along a line from each instant to the next; else they are held.
         motion: (k, m, 2 nj) or (k, m, 2 nj + nz) written, see ``measure_inner``; with m = 0 they are not wanted.
-        hidden: (trials, nz·LANES) states where trials start that begin inside of a recording, see ``hidden_starts``;
-            with no rows hidden states start as if nothing had been before.
+        hidden: (trials, nz·LANES) states where trials start, see ``hidden_starts``; those that are nan, and all with no
+            rows, start as if nothing had been before.
     """
     most = steps.max()
     w, same = prepared(robot, parameters), same_as_previous(commands, before, valve, follow)
@@ -246,7 +246,7 @@ def run_trials(
             same,
             linear,
         )
-        if len(hidden) > 0 and at > times[0]:
+        if len(hidden) > 0:
             put_hidden(robot, w, hidden[trial])
         run_lanes(robot, w, own, dt, rubbing, grid[: n + 1])
         own_out, own_reached = out[:, low:high], reached[trial]
@@ -300,7 +300,7 @@ def run_inner(
     drive = np.empty((len(pressures), 2, robot[N_ACTUATORS] * LANES))
     same = same_as_previous(commands, before, valve, follow)
     begin_trial(robot, w, drive, times, commands, before, valve, follow, first, q0, v0, start, dt, same, linear)
-    if len(hidden) > 0 and start > times[0]:
+    if len(hidden) > 0:
         put_hidden(robot, w, hidden[0])
     grid = np.empty((len(states), robot[N_STATE] * LANES))
     run_lanes(robot, w, drive, dt, rubbing, grid)

@@ -13,7 +13,7 @@ import numpy as np
 from equimus_ctrl.effects.sensors import hermite
 from equimus_ctrl.engines.batch import STEP, shaped_for
 from equimus_ctrl.engines.encoding import Encoded, encode
-from equimus_ctrl.engines.hidden import Commands, first_activations, lead, led_states
+from equimus_ctrl.engines.hidden import Commands, first_activations, lead, led_states, with_unknown
 from equimus_ctrl.engines.limits import MAX_SPEED
 from equimus_ctrl.engines.trials import Trial
 from equimus_ctrl.errors import ConfigError, SimulationDiverged
@@ -82,7 +82,7 @@ def motion(model: Model, trial: Trial, start: Array | None = None, dt: float = S
         model: what moves.
         trial: its commands, start and sample times.
         start: (nj,) joint positions or (2 nj,) positions and velocities at the start, in place of the trial's [rad or
-            m, rad/s or m/s].
+            m, rad/s or m/s]; what else may begin anywhere may follow them, see ``engines.batch.simulate``.
         dt: physics step [s].
 
     Raises:
@@ -100,7 +100,8 @@ def motion(model: Model, trial: Trial, start: Array | None = None, dt: float = S
     given = np.asarray(trial.position if start is None else start, dtype=np.float64)
     q0, v0 = given[:nj], np.zeros(nj) if trial.velocity is None else trial.velocity
     v0 = given[nj : 2 * nj] if len(given) > nj else v0
-    q0, v0 = trial.begun(model.robot, q0, np.asarray(v0), given[2 * nj :])
+    known = 2 * (nj + model.robot.loose_count)
+    q0, v0 = trial.begun(model.robot, q0, np.asarray(v0), given[2 * nj : known])
     steps = max(int(np.ceil((times[-1] - trial.start) / dt - 1e-9)), 1)
     states, pressures = np.empty((steps + 1, lanes.n_state)), np.empty((steps, 2, na))
     shaped = np.clip(shaped_for(model, trial), *coded.between[0])
@@ -111,6 +112,7 @@ def motion(model: Model, trial: Trial, start: Array | None = None, dt: float = S
     q, v, linear = q0[None, own.starts].copy(), v0[None, own.starts].copy(), trial.lines(model.robot)
     at_start = np.array([trial.start]), q[None], v[None]
     hidden = led_states(lanes, coded.parameters, trial.times, commands, sensor, led, at_start, dt, linear)
+    hidden = with_unknown(coded, one, hidden, given[None, None, known:])
     lanes.kernel.run_inner(
         lanes.robot,
         coded.parameters,

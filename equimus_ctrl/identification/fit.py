@@ -26,6 +26,7 @@ from equimus_ctrl.identification.residuals import DIVERGED, joint_rmse
 from equimus_ctrl.identification.segments import Segment
 from equimus_ctrl.identification.simulators import Simulator, simulator_for
 from equimus_ctrl.identification.uncertainty import Uncertainty, uncertainty
+from equimus_ctrl.models.augmented import unknown_starts
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.types import Array
 
@@ -42,7 +43,7 @@ UNSEEN = 1e-3
 of the sum of squares: such as where across a planar arm a mass sits. Rounding would take it to a bound."""
 
 Begin = tuple[Array, Sequence[Array]]
-"""Parameters (p,) and, for each segment, its start (2 nj + nz + 2 nl,), see ``Segment.start``."""
+"""Parameters (p,) and, for each segment, its start (2 nj + nz + 2 nl + nm,), see ``Segment.start``."""
 
 
 @dataclass(frozen=True)
@@ -85,7 +86,7 @@ class Fit:
         parameters: what was free.
         theta: (p,) the values found.
         model: the model with them.
-        starts: for each segment (2 nj + nz + 2 nl,) its start as the sensors show it, see ``Segment.start``.
+        starts: for each segment (2 nj + nz + 2 nl + nm,) its start as the sensors show it, see ``Segment.start``.
         residuals: for each segment (m, nj + ne) measured − predicted, of joints first [rad, or other units].
         before: the same of the initial model.
         cost: sum of squares that was minimised, in units of the noise's variance where a noise was given, else in those
@@ -193,7 +194,8 @@ def fit(
     # The matrices are small: threads of the linear algebra would only fight with those of the simulation.
     with threadpool_limits(limits=1, user_api="blas"):
         simulator = simulator or simulator_for(parameters.model, [s.poses for s in segments])
-        problem = Problem(parameters, segments, simulator, noise, coarse)
+        unknown = unknown_starts(parameters.model.effects)
+        problem = Problem(parameters, [s.with_unknown(unknown) for s in segments], simulator, noise, coarse)
         return _fit(problem, settings or FitSettings(), begin, earlier, notify)
 
 
@@ -206,7 +208,7 @@ def _fit(
 ) -> Fit:
     parameters, segments = problem.parameters, problem.segments
     samples = sum(s.outputs.size for s in segments)
-    p, free_starts = len(parameters.free), sum(s.free_start for s in segments)
+    p, free_starts = len(parameters.free), sum(len(s.free_at) for s in segments)
     if not p:
         raise ConfigError(f"{parameters.model.name}: no parameter is free, so there is nothing to identify")
     if samples <= p + free_starts:
@@ -215,7 +217,10 @@ def _fit(
             "of initial states)"
         )
     measured = [s.start for s in segments]
-    given = begin or [(parameters.start, measured)]
+    given = [
+        (theta, [s.from_start(start) for s, start in zip(segments, starts, strict=True)])
+        for theta, starts in begin or [(parameters.start, measured)]
+    ]
     together = problem.simulator.engine.batched
     # A free initial state from an earlier fit competes with the measured one.
     free_before = bool(free_starts and begin and together)

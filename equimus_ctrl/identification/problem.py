@@ -146,7 +146,8 @@ class Problem:
         costs = np.zeros(len(thetas))
         squares, residuals = self._squares(found)
         for k, (segment, weights, row) in enumerate(zip(self.segments, self._start_weights, rows, strict=True)):
-            own = squares[k] + ((weights * (segment.start[: len(weights)] - row[:, : len(weights)])) ** 2).sum(axis=1)
+            free = segment.free_at
+            own = squares[k] + ((weights * (segment.start[free] - row[:, free])) ** 2).sum(axis=1)
             for i, choices_i in enumerate(choices_of):
                 best = choices_i.start + int(np.argmin(own[choices_i]))
                 costs[i] += own[best]
@@ -212,7 +213,8 @@ class Problem:
         weights = np.array([self._start_weights[k] for k in members])  # (w, s)
         own = np.zeros((w, s, system.shape[2]))
         for row, weight, k in zip(own, weights, members, strict=True):
-            row[:, -1] = weight * (self.segments[k].start[:s] - point.starts[k][:s])
+            free = self.segments[k].free_at
+            row[:, -1] = weight * (self.segments[k].start[free] - point.starts[k][free])
         whole = np.concatenate([by_start, weights[:, :, None] * np.eye(s)], axis=1)
         system = np.concatenate([system, own], axis=1)
         norms = np.maximum(np.linalg.norm(whole, axis=1), 1e-300)  # (w, s)
@@ -230,14 +232,14 @@ class Problem:
         moved = [start.copy() for start in point.starts]
         for own in slopes.starts:
             for k, step in zip(own.segments, own.steps(change, damping), strict=True):
-                moved[k][: len(step)] += step
-        if not any(segment.free_start for segment in self.segments):
+                moved[k][self.segments[k].free_at] += step
+        if not any(segment.free_at for segment in self.segments):
             return [moved]
         return [moved, [old + 0.1 * (new - old) for old, new in zip(point.starts, moved, strict=True)]]
 
     def _weights_of(self, segment: Segment) -> Array:
-        """(free_start,) what a start's distance from the measured one weighs."""
-        if self.noise is None or not segment.free_start:
+        """(s,) what a start's distance from the measured one weighs, of its free components."""
+        if self.noise is None or not segment.free_at:
             return segment.start_weights
         sigma = np.array([self.noise[j].sigma for j in segment.start_joints])
         return np.asarray(segment.start_weights / sigma)
@@ -248,7 +250,7 @@ class Problem:
         # Steps lead away from the upper bound.
         by = difference(self.parameters.model, self.coarse or self.simulator)
         steps = by * scale * np.where(point.theta + by * scale <= self.parameters.high, 1.0, -1.0)
-        p, most = len(scale), max(s.free_start for s in self.segments)
+        p, most = len(scale), max(len(s.free_at) for s in self.segments)
         base = self.parameters.model_at(point.theta)
         moved = [self.parameters.model_at(point.theta + steps * unit) for unit in np.eye(p)]
         # In a batch the base costs nothing and has its neighbours' rounding; else it may be known already.
@@ -257,8 +259,8 @@ class Problem:
         starts = []
         for segment, start in zip(self.segments, point.starts, strict=True):
             rows = np.tile(start, (len(models), 1))
-            for k in range(segment.free_start):
-                rows[first + p + k, k] += by
+            for k, place in enumerate(segment.free_at):
+                rows[first + p + k, place] += by
             starts.append(rows)
         self.evaluations += len(models)
         by_theta, by_start = [], []
@@ -274,7 +276,7 @@ class Problem:
             elif not first:
                 change[:, np.any(np.abs(residual) >= FARTHEST * segment.scales, axis=1)] = 0.0
             by_theta.append(np.moveaxis(change[:p] / steps[:, None, None], 0, -1))
-            by_start.append(np.moveaxis(change[p : p + segment.free_start] / by, 0, -1))
+            by_start.append(np.moveaxis(change[p : p + len(segment.free_at)] / by, 0, -1))
         return by_theta, by_start
 
 

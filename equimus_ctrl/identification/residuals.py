@@ -9,6 +9,7 @@ import numpy as np
 from equimus_ctrl.engines.trials import Predicted
 from equimus_ctrl.identification.segments import LEAST_SAMPLES, Segment
 from equimus_ctrl.identification.simulators import Simulator
+from equimus_ctrl.models.augmented import unknown_starts
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.types import Array
 
@@ -87,7 +88,7 @@ def followed(
     starts = [s.start for s in segments]
     residuals = _from(model, segments, simulator, starts)
     if model.robot.traits.starts_at_rest:
-        return starts, residuals
+        return _remembered(model, segments, simulator, starts, residuals)
     if improved > 1:
         grown = starts
         for share in PARTS:
@@ -98,6 +99,20 @@ def followed(
         starts, residuals = [x for x, _ in best], [r for _, r in best]
     for _ in range(improved):
         starts, residuals = _better_starts(model, segments, simulator, starts, residuals)
+    return starts, residuals
+
+
+def _remembered(
+    model: Model, segments: Sequence[Segment], simulator: Simulator, starts: list[Array], residuals: list[Array]
+) -> tuple[list[Array], list[Array]]:
+    """``followed`` of robots that start at rest: what effects begin with that begin anywhere is found, nothing else."""
+    count = unknown_starts(model.effects)
+    wide = [segment.with_unknown(count) for segment in segments]
+    if not any(segment.unknown for segment in wide):
+        return starts, residuals
+    starts = [segment.start for segment in wide]
+    for _ in range(STARTS):
+        starts, residuals = _better_starts(model, wide, simulator, starts, residuals, wide[0].unknown)
     return starts, residuals
 
 
@@ -117,11 +132,18 @@ def _squares(segment: Segment, residual: Array) -> float:
 
 
 def _better_starts(
-    model: Model, segments: Sequence[Segment], simulator: Simulator, starts: list[Array], residuals: list[Array]
+    model: Model,
+    segments: Sequence[Segment],
+    simulator: Simulator,
+    starts: list[Array],
+    residuals: list[Array],
+    components: Sequence[int] | None = None,
 ) -> tuple[list[Array], list[Array]]:
-    """One step of Gauss and Newton for each segment's start, where it helps."""
-    n, by = len(starts[0]), difference(model, simulator)
-    rows = [np.vstack([start, start + by * np.eye(n)]) for start in starts]
+    """One step of Gauss and Newton for each segment's start, or some components of it, where it helps."""
+    by, whole = difference(model, simulator), np.eye(len(starts[0]))
+    along = whole if components is None else whole[list(components)]
+    n = len(along)
+    rows = [np.vstack([start, start + by * along]) for start in starts]
     found = simulator([model] * (n + 1), segments, rows)
     tried = []
     for segment, start, residual, f in zip(segments, starts, residuals, found, strict=True):
@@ -136,7 +158,7 @@ def _better_starts(
                 step[:] = np.linalg.lstsq(weighted, (residual * weights).ravel(), rcond=1e-9)[0]
         if not np.all(np.isfinite(step)):
             step = np.zeros(n)
-        tried.append(np.array([start + share * step for share in (1.0, 0.3)]))
+        tried.append(np.array([start + share * (step @ along) for share in (1.0, 0.3)]))
     found = simulator([model] * 2, segments, tried)
     moved, left = [], []
     for segment, start, residual, rows_tried, f in zip(segments, starts, residuals, tried, found, strict=True):

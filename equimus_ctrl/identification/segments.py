@@ -65,6 +65,8 @@ class Segment:
         also: (m, ne) what was measured of these; none by default.
         reach: (ne,) how far each goes, in units of the joint that goes farthest.
         group: of trials that it belongs to, such as those of one unit of the robot; "" where there are none.
+        unknown: (nm,) places in ``start`` of what effects that begin anywhere begin with, see ``with_unknown``.
+        may_remember: whether they are to be free in fits: nobody knows what was before the trial.
     """
 
     trial: Trial
@@ -80,6 +82,8 @@ class Segment:
     also: Array | None = None
     reach: Array | None = None
     group: str = ""
+    unknown: tuple[int, ...] = ()
+    may_remember: bool = False
 
     @cached_property
     def outputs(self) -> Array:
@@ -107,23 +111,44 @@ class Segment:
 
     @property
     def start_weights(self) -> Array:
-        """(free_start,) what a start's distance from the measured one weighs, in units of a sample's residual."""
+        """(s,) what a free component's distance from the measured one weighs, in units of a sample's residual."""
         nj = self.measured.shape[1]
         trust = np.repeat([1.0, self.slope_span / 2], nj) if self.trust is None else self.trust
-        return np.append(trust, np.full(len(self.start) - 2 * nj, LEAST_TRUST))[: self.free_start]
+        return np.append(trust, np.full(len(self.start) - 2 * nj, LEAST_TRUST))[self.free_at]
+
+    @cached_property
+    def free_at(self) -> list[int]:
+        """(s,) which components of ``start`` are free."""
+        return [*range(self.free_start), *(k for k in self.unknown if k >= self.free_start)]
 
     @property
     def start_joints(self) -> list[int]:
-        """(free_start,) by which joint's noise each free component is judged: an unmeasured one's by the first's."""
+        """(s,) by which joint's noise each free component is judged: an unmeasured one's by the first's."""
         nj = self.measured.shape[1]
         known = [*range(nj), *range(nj), *self.zeros]
-        return [*known, *[0] * (len(self.start) - len(known))][: self.free_start]
+        whole = [*known, *[0] * (len(self.start) - len(known))]
+        return [whole[k] for k in self.free_at]
+
+    def with_unknown(self, count: int) -> Segment:
+        """The same with so many more components of its start, free and 0: what is hidden begins as after a long rest.
+
+        They are numbers of any size, whose tanh the states of effects are, see ``engines.hidden.with_unknown``.
+        """
+        if not (self.may_remember and count):
+            return self
+        first = len(self.start)
+        return replace(self, start=np.append(self.start, np.zeros(count)), unknown=tuple(range(first, first + count)))
+
+    def from_start(self, start: Array) -> Array:
+        """What another hypothesis' fit has of a start, as far as this one has it; the rest is as here."""
+        known = min(len(start), len(self.start))
+        return np.append(start[:known], self.start[known:])
 
     def parted(self, starts: Array) -> tuple[Array, Array, Array]:
-        """Starts (k, 2 nj + nz + 2 nl) in three parts.
+        """Starts (k, 2 nj + nz + 2 nl + nm) in three parts.
 
-        (k, 2 nj) what the sensors would show with a right zero, (k, nj) their zeros, and (k, 2 nl) the unmeasured
-        joints.
+        (k, 2 nj) what the sensors would show with a right zero, (k, nj) their zeros, and (k, 2 nl + nm) the unmeasured
+        joints and what else is unknown.
         """
         nj = self.measured.shape[1]
         first = 2 * nj + len(self.zeros)

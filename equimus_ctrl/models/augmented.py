@@ -355,6 +355,28 @@ def law_parameters(
     return values
 
 
+def unknown_starts(effects: Sequence[Effect]) -> int:
+    """How many states of effects may begin anywhere, see ``ForceEffect.begins_anywhere``."""
+    return sum(effect.n_states for effect in _remembering(effects))
+
+
+def unknown_states(
+    slots: tuple[Slot, ...], effects: Sequence[Effect], joints: Sequence[str], actuators: Sequence[str]
+) -> list[int]:
+    """Which of the laws' states these are, effect by effect."""
+    names, first, count = {"joint": joints, "actuator": actuators}, dict[tuple[type[Effect], str], int](), 0
+    for slot in slots:
+        first[slot.law, names[slot.kind][slot.index]] = count
+        count += slot.law.n_states
+    return [
+        first[type(effect), effect.location] + k for effect in _remembering(effects) for k in range(effect.n_states)
+    ]
+
+
+def _remembering(effects: Sequence[Effect]) -> list[ForceEffect]:
+    return [effect for effect in effects if isinstance(effect, ForceEffect) and effect.begins_anywhere]
+
+
 @lru_cache(maxsize=32)
 def _idle(slots: tuple[Slot, ...]) -> tuple[list[float], dict[tuple[type[Effect], str, int], slice]]:
     """Parameters with which no slot does anything, and (law, kind, index) → where a slot's own stand among them."""
