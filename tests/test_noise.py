@@ -134,9 +134,10 @@ def test_series_too_short_for_a_second_difference_do_not_bound_noise() -> None:
 def judged(time: Array, measured: Array, true: Array) -> tuple[float, float]:
     """How large noise is taken to be, and root mean square residuals, where a model predicts the true motion."""
     residuals = [(measured - true)[:, None]]
-    segment: Any = SimpleNamespace(trial=SimpleNamespace(sample_times=time), outputs=measured[:, None])
+    segments = [SimpleNamespace(outputs=measured[:, None])]
+    data: Any = SimpleNamespace(times=[time], segments=segments, thresholds=Thresholds(), least_noise=None)
     fitted: Any = SimpleNamespace(fit=SimpleNamespace(residuals=residuals), noise=estimate_noise([time], residuals))
-    return float(noise_sizes([segment], fitted, Thresholds())[0]), float(np.sqrt(np.mean(residuals[0] ** 2)))
+    return float(noise_sizes(data, fitted)[0]), float(np.sqrt(np.mean(residuals[0] ** 2)))
 
 
 @pytest.mark.parametrize("reach", [2.0, 40.0], ids=["few values", "many values"])

@@ -499,6 +499,6 @@ class HoldoutResiduals:
         """Share of the excess residual variance of ``base`` by which ``rich`` has less than ``simple``."""
         if not simple:
             return math.nan
-        sigma = noise_sizes(self.data.segments, self._best, self.data.thresholds)
+        sigma = noise_sizes(self.data, self._best)
         before, after, whole = (float(excess_variances(r, sigma).mean()) for r in (simple, rich, base))
         return float(np.clip((before - after) / whole, -1.0, 1.0)) if whole > 0 else 0.0

@@ -133,6 +133,7 @@ class Data:
         policy: how they are fitted and searched.
         budget: after each step of a fit it is asked whether to go on.
         thresholds: by which fits are compared.
+        least_noise: (nj + ne,) below which residuals say nothing; None where that is known of the measurements alone.
     """
 
     free: FreeParameters
@@ -143,6 +144,7 @@ class Data:
     policy: SearchPolicy = field(default_factory=SearchPolicy)
     budget: Budget = field(default_factory=Budget)
     thresholds: Thresholds = field(default_factory=Thresholds)
+    least_noise: Array | None = None
 
     @property
     def times(self) -> list[Array]:
@@ -444,7 +446,7 @@ class Data:
     def _with_noise(self, hypothesis: Hypothesis, after: Fit) -> Fitted:
         """A hypothesis with its estimates, the noise estimated from its residuals, and its deviance under that."""
         longest = self.thresholds.longest_noise
-        noise = estimate_noise(self.times, after.residuals, longest, self._correlated)
+        noise = estimate_noise(self.times, after.residuals, longest, self._correlated, self.least_noise)
         deviance = -2.0 * log_likelihood(noise, self.times, after.residuals)
         return Fitted(refined(hypothesis, after.theta[len(self.free.free) :]), after, noise, deviance)
 

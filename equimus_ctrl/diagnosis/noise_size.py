@@ -3,37 +3,36 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 
 import numpy as np
 
-from equimus_ctrl.diagnosis.fitting import Fitted
-from equimus_ctrl.diagnosis.policy import Thresholds
+from equimus_ctrl.diagnosis.fitting import Data, Fitted
 from equimus_ctrl.identification.noise import LEAST, LEAST_STEPS, SAME, largest_noise, resolution
-from equimus_ctrl.identification.segments import Segment
 from equimus_ctrl.types import Array
 
 
-def noise_sizes(segments: Sequence[Segment], fitted: Fitted, thresholds: Thresholds) -> Array:
+def noise_sizes(data: Data, fitted: Fitted) -> Array:
     """(nj + ne,) standard deviation of the noise of each joint or channel [its unit], to judge residuals by.
 
     max(min(σ, s), q/√12), with σ as a fit estimates it from the residuals it leaves, of which slow ones pass for
     coloured noise; s what their second differences allow, see ``largest_noise``; q the step in which measurements come.
     These are off by up to q/2 and, at rest, for as long as one likes: q/2 is less than twice q/√12. A measurement that
-    never changes allows anything.
+    never changes allows anything. None is less than ``Data.least_noise``.
 
     Args:
-        segments: what was fitted.
+        data: what was fitted; of its thresholds ``noise_bound`` is the level of s, and ``longest_noise`` the longest
+            correlation.
         fitted: a hypothesis.
-        thresholds: of which ``noise_bound`` is the level of s, and ``longest_noise`` the longest correlation.
     """
-    times = [segment.trial.sample_times for segment in segments]
-    largest = largest_noise(times, fitted.fit.residuals, thresholds.noise_bound, thresholds.longest_noise)
-    measured = np.concatenate([segment.outputs for segment in segments])
+    thresholds = data.thresholds
+    largest = largest_noise(data.times, fitted.fit.residuals, thresholds.noise_bound, thresholds.longest_noise)
+    measured = np.concatenate([segment.outputs for segment in data.segments])
     steps = np.array([_step(column) for column in measured.T])
     estimated = np.array([own.sigma for own in fitted.noise])
     allowed = np.where(steps < math.inf, np.maximum(largest, LEAST), math.inf)
     least = np.where(steps < math.inf, steps / math.sqrt(12), 0.0)
+    if data.least_noise is not None:
+        least = np.maximum(least, data.least_noise)
     return np.asarray(np.maximum(np.minimum(estimated, allowed), least))
 
 

@@ -36,7 +36,7 @@ class Thresholds:
         "how its gain stands out from the scatter of blocks, and of what a search in the torque domain begins with",
         "theory",
         "likelihood-ratio test, Wilks (1938), with Bonferroni's correction for the number of candidates",
-        where="block_scatter scoring torque_start",
+        where="block_scatter scoring simulated torque_start",
     )
     simulation_error: float = decided_by(
         1.5e-3,
@@ -120,6 +120,25 @@ class Thresholds:
         "theory",
         "either fit may end fitting.CONVERGED_GAIN above its minimum, so less than twice that ranks nothing",
         where="scoring",
+    )
+    as_simulated: float = decided_by(
+        0.1,
+        "",
+        "recordings are taken for MuJoCo's where they show its step's error once, give or take this share of it or "
+        "what noise leaves open",
+        "convention",
+        "the error is known to first order, at parameters that have taken up some of it; a robot shows it 0 times",
+        where="simulated",
+    )
+    step_unsure: float = decided_by(
+        0.01,
+        "of the step's error",
+        "where MuJoCo made the recordings, residuals below this share of its step's error are no physics: what it is "
+        "depends on the motion, and is known to first order",
+        "convention",
+        "after the last round it changes by far less; where friction stops a joint it changes by steps",
+        where="simulated",
+        read=True,
     )
     step_scatter: float = decided_by(
         60.0,

@@ -67,7 +67,7 @@ def refit(inputs: DiagnosisInputs) -> State:
     state = State(
         inputs, search, SearchState(base, base), short, nominal_residuals(inputs, data), notes=inputs.settings.notes
     )
-    sigma = noise_sizes(search.data.segments, base, data.thresholds)
+    sigma = noise_sizes(search.data, base)
     excess = zip(model.robot.joint_names, excess_variances(base.fit.residuals, sigma), strict=False)
     said = ", ".join(f"{joint} {variance:.3g}" for joint, variance in excess)
     return state.decided("refit", f"{len(search.data.free.free)} parameters refitted", f"excess variance: {said}")

@@ -37,7 +37,7 @@ def report(state: State) -> Diagnosis:
     state = tested(replace(state, search=replace(state.search, data=replace(state.data, budget=Budget()))))
     inputs, search, end, unexplained = state.inputs, state.search, state.end, state.analysis.unexplained
     data, split, model = state.data, inputs.split, inputs.nominal
-    sigma = noise_sizes(data.segments, end.best, data.thresholds)[: len(end.best.fit.rmse)]
+    sigma = noise_sizes(data, end.best)[: len(end.best.fit.rmse)]
     holdout, equivalent = HoldoutResiduals(data, split, end), state.equivalent or ()
     told = findings(search, end, holdout, equivalent)
     if state.failed:

@@ -12,9 +12,10 @@ come to.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, partial
+from itertools import chain
 
 import numpy as np
 
@@ -32,7 +33,9 @@ from equimus_ctrl.diagnosis.policy import Thresholds
 from equimus_ctrl.diagnosis.refit import nominal_residuals, refit, searched_from_short
 from equimus_ctrl.diagnosis.residuals import ResidualAboveNoise, Unexplained
 from equimus_ctrl.diagnosis.results import CONFIRMATION, Equivalent
+from equimus_ctrl.diagnosis.search import Search
 from equimus_ctrl.diagnosis.search_state import SearchState
+from equimus_ctrl.diagnosis.simulated import Simulated, simulated
 from equimus_ctrl.diagnosis.smooth_laws import analysed, analysed_without, without_redundant
 from equimus_ctrl.diagnosis.state import DiagnosisInputs, State
 from equimus_ctrl.diagnosis.unexplained import not_confirmed
@@ -101,18 +104,43 @@ def find_effects(state: State) -> State:
     """The hypothesis that fits best, of those whose gain exceeds the threshold.
 
     A search begins with what measured torques ask for, where they say anything. Where residuals are large, a second
-    search begins at the fit to short shooting intervals. Where the budget ends, what the search had come to is kept.
+    search begins at the fit to short shooting intervals. After each step it is asked whether MuJoCo made the recordings
+    (``simulated``): then the search goes on without the error of its step. Where the budget ends, what the search had
+    come to is kept.
     """
-    search, end = state.search, state.end
+    search, end, made = state.search, state.end, None
     try:
-        end = search.begun_in_torques(end)
-        for now in search.steps(end):
+        steps: Iterator[SearchState] = chain([end], _begun_in_torques(search, end))
+        while (now := next(steps, None)) is not None:
             end = now
-        if state.short is not None and state.data.far_above_noise(end.best):
+            if made is None and (made := simulated(search, end)) is not None:
+                search, end = made.search, made.end
+                steps = search.steps(end)
+        if made is not None:
+            made = replace(made, end=end).settled()
+            search, end = made.search, made.end
+        elif state.short is not None and state.data.far_above_noise(end.best):
             search, end = searched_from_short(search, end, state.inputs.split, state.short)
     except BudgetSpent:
-        return _accepted(replace(state, end=end)).ended("search")
-    return _accepted(replace(state, search=search, end=end))
+        return _accepted(_without_step(replace(state, search=search, end=end), made)).ended("search")
+    return _accepted(_without_step(replace(state, search=search, end=end), made))
+
+
+def _begun_in_torques(search: Search, end: SearchState) -> Iterator[SearchState]:
+    """The steps of a search that begins with what measured torques ask for."""
+    begun = search.begun_in_torques(end)
+    if begun is not end:
+        yield begun
+    yield from search.steps(begun)
+
+
+def _without_step(state: State, made: Simulated | None) -> State:
+    """What is known where MuJoCo made the recordings: what was held out without the error of its step, too."""
+    if made is None:
+        return state
+    inputs = replace(state.inputs, split=made.without_error(state.inputs.split))
+    state = replace(state, inputs=inputs, notes=(*state.notes, made.sentence))
+    return state.decided("search", "the error of MuJoCo's physics step taken off the recordings", made.sentence)
 
 
 def _accepted(state: State) -> State:

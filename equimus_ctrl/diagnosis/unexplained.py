@@ -259,7 +259,7 @@ def _far_above_noise(
 ) -> tuple[ResidualAboveNoise, ...]:
     """Joints at which residuals are far above the noise, though nothing that was tried explains them."""
     thresholds = data.thresholds
-    whole = excess_variances(residuals, noise_sizes(data.segments, best, thresholds))
+    whole = excess_variances(residuals, noise_sizes(data, best))
     joints = data.free.model.robot.joint_names
     excess = whole[: len(joints)].copy()
     for k, j in enumerate(data.segments[0].channels.joints(data.free.model.robot)):

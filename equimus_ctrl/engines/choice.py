@@ -17,6 +17,7 @@ from equimus_ctrl.engines.base import Discretisation, Engine, EngineName
 from equimus_ctrl.engines.batch import simulate
 from equimus_ctrl.engines.contacts import touching
 from equimus_ctrl.engines.mjcf import simulate_mjcf
+from equimus_ctrl.engines.mjcf_realised import stepped_laws
 from equimus_ctrl.engines.mujoco_batch import FAST_SETTINGS
 from equimus_ctrl.engines.mujoco_trials import simulate_mujoco
 from equimus_ctrl.engines.step_choice import StepChoice, followed_step, noise_of
@@ -132,6 +133,7 @@ class MujocoEngine(Engine):
         robot: all that is simulated has its step and integrator.
         dt: another physics step than the XML's [s].
         reason: see ``Engine``.
+        hard_friction: whether dry friction of effects holds what it stops, see ``engines.mjcf_realised.realise``.
     """
 
     name = "mujoco"
@@ -142,6 +144,7 @@ class MujocoEngine(Engine):
     robot: MjcfRobot
     dt: float | None = None
     reason: str = ""
+    hard_friction: bool = True
 
     @property
     def discretisation(self) -> Discretisation:
@@ -151,7 +154,9 @@ class MujocoEngine(Engine):
     def simulate(
         self, models: Sequence[Model], trials: Sequence[Trial], starts: Sequence[Array], threads: int | None = None
     ) -> list[Predicted]:
-        return simulate_mjcf(models, trials, starts=starts, dt=self.dt, threads=threads)
+        return simulate_mjcf(
+            models, trials, starts=starts, dt=self.dt, threads=threads, hard_friction=self.hard_friction
+        )
 
     def coarser(self) -> Engine:
         return replace(self, dt=MUJOCO_COARSER * self.discretisation.step)
@@ -255,6 +260,19 @@ def _engine_of_mjcf(
     if name == "reduced":
         raise ConfigError(f"{robot.name}: compiled equations of motion cannot hold {reason}; expected --engine mujoco")
     return MujocoEngine(own, dt, reason=f"compiled equations of motion cannot hold {reason}")
+
+
+def simulation_of(model: Model, any_law: bool = True) -> MujocoEngine | None:
+    """MuJoCo as it simulates the robot's XML by itself, step and solver included; None of robots that have none.
+
+    Args:
+        model: whose robot decides.
+        any_law: whether its effects may have states; else None where one has, for that is compiled by itself.
+    """
+    usual = stepped_laws(()) == stepped_laws(model.effects)
+    if model.robot.traits.catalogue != "mjcf" or not (any_law or usual):
+        return None
+    return MujocoEngine(mjcf_of(model.robot), reason="it made the recordings", hard_friction=False)
 
 
 ENGINES_OF: dict[Robots, Callable[[Model, EngineName | None, float | None, Sequence[Array]], Engine]] = {

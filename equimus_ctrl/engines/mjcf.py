@@ -346,6 +346,7 @@ def simulate_mjcf(
     starts: Sequence[Array] | None = None,
     threads: int | None = None,
     dt: float | None = None,
+    hard_friction: bool = True,
 ) -> list[Predicted]:
     """Every model through every trial, with the integrator, solver and step that the MuJoCo model asks for.
 
@@ -359,6 +360,7 @@ def simulate_mjcf(
             ``Trial.begun``; the trial's by default.
         threads: to use; all cores by default. The result does not depend on it.
         dt: another physics step [s].
+        hard_friction: see ``realise``.
 
     Returns:
         One ``Predicted`` for each trial.
@@ -388,7 +390,7 @@ def simulate_mjcf(
             trial = trials[i]
             condition = trial.condition
             if condition not in made:
-                own = realise(models[which], trial, dt)
+                own = realise(models[which], trial, dt, hard_friction)
                 made[condition] = own, leader_of(own)
             own, leader = made[condition]
             if starts is not None:

@@ -83,13 +83,14 @@ class Realised:
     rows: dict[Hashable, Array] = field(default_factory=dict)
 
 
-def realise(model: Model, trial: Trial | None = None, dt: float | None = None) -> Realised:
+def realise(model: Model, trial: Trial | None = None, dt: float | None = None, hard_friction: bool = True) -> Realised:
     """What MuJoCo and the kernel need of an MJCF robot with effects.
 
     Args:
         model: of an MJCF robot.
         trial: in which some parameters are known to be others.
         dt: another physics step than the XML's [s].
+        hard_friction: whether effects' dry friction holds what it stops; else it creeps as the XML's constraints do.
     """
     given = mjcf_of(model.robot)
     robot = changed_bodies(model.effects, given if trial is None else trial.robot_in(given))
@@ -104,7 +105,7 @@ def realise(model: Model, trial: Trial | None = None, dt: float | None = None) -
             (value,) = effect.parameters().values()
             place = dofs[effect.location]
             getattr(own, field)[place if entry is None else (place, entry)] += value
-        if effect.rubs or effect.loads:
+        if hard_friction and (effect.rubs or effect.loads):
             harden(own, dofs[effect.location])
     valve = valve_settings(model.effects, robot.actuator_names)
     # The XML's own delays are exact with any step, as those of effects are, and know the command before a recording.

@@ -219,6 +219,7 @@ def estimate_noise(
     residuals: Sequence[Array],
     longest: float = LONGEST,
     correlated: Callable[[float], bool] = lambda gain: not gain < COLOUR,
+    least: Array | None = None,
 ) -> Noise:
     """The noise that makes residual series most likely, joint by joint and channel by channel.
 
@@ -227,15 +228,22 @@ def estimate_noise(
         residuals: for each series (m, nj + ne) [rad, m or the channel's own unit].
         longest: upper bound of the correlation time [s].
         correlated: whether noise that is correlated over time is taken, for its gain in −2 ln L over white noise.
+        least: (nj + ne,) standard deviation, in units of the residuals; ``LEAST`` by default.
     """
+    count = residuals[0].shape[1]
+    bounds = np.full(count, LEAST) if least is None else np.maximum(least, LEAST)
     return tuple(
-        _estimate(times, [np.ascontiguousarray(r[:, j : j + 1]) for r in residuals], longest, correlated)
-        for j in range(residuals[0].shape[1])
+        _estimate(times, [np.ascontiguousarray(r[:, j : j + 1]) for r in residuals], longest, correlated, bounds[j])
+        for j in range(count)
     )
 
 
 def _estimate(
-    times: Sequence[Array], series: Sequence[Array], longest: float, correlated: Callable[[float], bool]
+    times: Sequence[Array],
+    series: Sequence[Array],
+    longest: float,
+    correlated: Callable[[float], bool],
+    least: float,
 ) -> JointNoise:
     count = sum(len(s) for s in series)
     columns = [np.empty_like(s) for s in series]
@@ -246,7 +254,7 @@ def _estimate(
         for time, rows, out in zip(times, series, columns, strict=True):
             logs += _innovations(time, rows, math.sqrt(1.0 - share), math.sqrt(share), tau, out)
             squares += float((out**2).sum())
-        size = max(squares / count, LEAST**2)
+        size = max(squares / count, least**2)
         return math.log(size) + logs / count, size
 
     def objective(x: Array) -> float:

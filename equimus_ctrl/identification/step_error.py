@@ -15,6 +15,7 @@ from equimus_ctrl.identification.segments import Segment
 from equimus_ctrl.identification.simulators import Simulator
 from equimus_ctrl.identification.uncertainty import UNSEEN
 from equimus_ctrl.identification.whitened_fit import whiten_fit
+from equimus_ctrl.models.model import Model
 from equimus_ctrl.types import Array
 
 
@@ -62,8 +63,19 @@ def changes_between(own: Simulator, other: Simulator, fit: Fit, segments: Sequen
     Raises:
         SimulationDiverged: where one of them diverges.
     """
-    starts = [start[None] for start in fit.starts]
-    before, after = (engine([fit.model], segments, starts) for engine in (own, other))
+    return changes_from(own, other, fit.model, segments, fit.starts)
+
+
+def changes_from(
+    own: Simulator, other: Simulator, model: Model, segments: Sequence[Segment], starts: Sequence[Array]
+) -> list[Array]:
+    """The same of a model from starts, see ``Segment.start``.
+
+    Raises:
+        SimulationDiverged: where one of them diverges.
+    """
+    rows = [start[None] for start in starts]
+    before, after = (engine([model], segments, rows) for engine in (own, other))
     if not all(p.sound.all() for p in (*before, *after)):
-        raise SimulationDiverged("the simulation diverged with another physics step")
+        raise SimulationDiverged("the simulation diverged with another physics step or engine")
     return [np.moveaxis(b.position - a.position, 0, -1) for a, b in zip(before, after, strict=True)]

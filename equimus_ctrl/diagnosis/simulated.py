@@ -1,0 +1,198 @@
+"""Recordings that MuJoCo made: what its physics step adds to the motion is no physics that a model lacks.
+
+The compiled equations of motion are exact; a simulation by MuJoCo has the error of its step, and friction that creeps
+for its constraints are soft. In recordings of such a simulation that is seen before anything else is, for they have
+little noise or none. At a hypothesis, with d what MuJoCo with the XML's own step and solver predicts less what the
+exact engine does, r the residuals, both whitened, and P the projection beyond all free parameters and initial states,
+
+    λ = rᵀPd / dᵀPd,    G = ‖Pr‖² − ‖P(r − d)‖² = 2 rᵀPd − dᵀPd
+
+λ is 1 where MuJoCo made the recordings, and 0 where a robot did; G is what χ² falls by. There is nothing to fit, so a
+robot looks like a simulation by chance alone, and only where λ happens to be near 1. Where it is, d is taken off the
+recordings, and the search goes on with the exact engine: to first order that is a search with MuJoCo's.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+
+import numpy as np
+from scipy.special import chdtri
+
+from equimus_ctrl.diagnosis.fitting import Data, Fitted
+from equimus_ctrl.diagnosis.holdout import Split
+from equimus_ctrl.diagnosis.policy import Thresholds
+from equimus_ctrl.diagnosis.search import Search
+from equimus_ctrl.diagnosis.search_state import SearchHistory, SearchState
+from equimus_ctrl.engines.choice import simulation_of
+from equimus_ctrl.errors import SimulationDiverged
+from equimus_ctrl.identification.projection import Nuisance
+from equimus_ctrl.identification.residuals import followed
+from equimus_ctrl.identification.segments import Segment
+from equimus_ctrl.identification.simulators import Simulator
+from equimus_ctrl.identification.step_error import changes_between, changes_from
+from equimus_ctrl.identification.whitened_fit import whiten_fit
+from equimus_ctrl.models.model import Model
+from equimus_ctrl.types import Array
+
+SETTLED = 0.05
+"""In units of the noise: changes of d by less, with the parameters that it leads to, end the rounds."""
+ROUNDS = 6
+"""So often d is worked out at most, each time at the parameters that the last one led to."""
+NOISELESS = 1e-4
+"""Of the motion: only where noise is less are laws with states, which are compiled one by one, looked at too."""
+
+
+@dataclass(frozen=True, eq=False)
+class Simulated:
+    """A search in recordings of which the error of MuJoCo's step is taken off.
+
+    Attributes:
+        search: with the segments without it.
+        end: where it is.
+        raw: the segments as they were recorded.
+        model: of the hypothesis at which the error was last worked out.
+        gain: G.
+        share: λ.
+    """
+
+    search: Search
+    end: SearchState
+    raw: Sequence[Segment]
+    model: Model
+    gain: float
+    share: float
+
+    @property
+    def sentence(self) -> str:
+        """For a person."""
+        step = simulation_of(self.model)
+        assert step is not None and step.discretisation is not None
+        return (
+            "These recordings look as if MuJoCo had simulated them with the physics step of the XML, "
+            f"{1e3 * step.discretisation.step:g} ms: they show {self.share:.3g} times its error (χ² falls by "
+            f"{self.gain:.4g} with it). It is no physics, and was taken off."
+        )
+
+    def settled(self) -> Simulated:
+        """The same at the hypothesis that its search has come to.
+
+        Raises:
+            BudgetSpent: where the budget ends.
+            SimulationDiverged: where the hypothesis, or it without a part, diverges.
+        """
+        return _taken_off(self.search, self.end, self.raw, self.end.best, self.gain, self.share)
+
+    def without_error(self, split: Split) -> Split:
+        """The trials that are held out, likewise."""
+        own = self.search.data.simulator
+        validation, test = (_less(s, _error(own, self.model, s)) for s in (split.validation, split.test))
+        return replace(split, train=tuple(self.search.data.segments), validation=tuple(validation), test=tuple(test))
+
+
+def simulated(search: Search, end: SearchState) -> Simulated | None:
+    """Where a search goes on if MuJoCo made the recordings, by its best hypothesis or one with a part less; else None.
+
+    Raises:
+        BudgetSpent: where the budget ends.
+        SimulationDiverged: where a hypothesis diverges that went through before.
+    """
+    for fitted in dict.fromkeys((end.best, *end.without)):
+        found = _share(search.data, fitted)
+        if found is None:
+            continue
+        share, gain, certain = found
+        alike = search.data.thresholds.decides(partial(_alike, share, certain))
+        if alike and search.data.thresholds.decides(partial(_exceeds, search, gain)):
+            return _taken_off(search, end, search.data.segments, fitted, gain, share)
+    return None
+
+
+def _alike(share: float, certain: float, t: Thresholds) -> bool:
+    """Whether λ is 1, as far as is known or but for what is of second order."""
+    return abs(share - 1.0) < t.as_simulated or (share - 1.0) ** 2 * certain < float(chdtri(1, t.significance))
+
+
+def _exceeds(search: Search, gain: float, t: Thresholds) -> bool:
+    return gain > search.threshold(1, t)
+
+
+def _share(data: Data, fitted: Fitted) -> tuple[float, float, float] | None:
+    """λ, G and dᵀPd; None where MuJoCo does not simulate the hypothesis, or diverges."""
+    engine = simulation_of(fitted.fit.model, any_law=_noiseless(data, fitted))
+    if engine is None or data.simulator.engine.discretisation is not None:
+        return None
+    try:
+        change = changes_between(data.simulator, replace(data.simulator, engine=engine), fitted.fit, data.segments)
+    except SimulationDiverged:
+        return None
+    whitened = whiten_fit(data.times, fitted.fit, fitted.noise)
+    nuisance = Nuisance.of(whitened.slopes)
+    error = nuisance.project_out(whitened.columns(data.times, change)[:, 0])
+    along, size = float(nuisance.project_out(whitened.residual) @ error), float(error @ error)
+    return (along / size, 2 * along - size, size) if size > 0 else None
+
+
+def _noiseless(data: Data, fitted: Fitted) -> bool:
+    moved = np.ptp(np.concatenate([s.measured for s in data.segments]), axis=0)
+    return all(joint.sigma < NOISELESS * way for joint, way in zip(fitted.noise, moved, strict=False))
+
+
+def _taken_off(
+    search: Search, end: SearchState, raw: Sequence[Segment], fitted: Fitted, gain: float, share: float
+) -> Simulated:
+    """A search that begins at a hypothesis fitted to segments without the error of MuJoCo's step.
+
+    The error d depends on the parameters, which depend on what was taken off: a fixed point d = g(d), looked for with
+    relaxation by Aitken's Δ² (Irons & Tuck, 1969), for where friction stops a joint g turns about it.
+    """
+    data, nj = search.data, raw[0].outputs.shape[1]
+    taken, missed, relaxed = np.zeros((data.n // nj, nj)), None, 1.0
+    for _ in range(ROUNDS):
+        here = np.concatenate(_error_at(data.simulator, fitted, data.segments)) - taken
+        sigma = np.array([joint.sigma for joint in fitted.noise])
+        if missed is not None:
+            turned = (here - missed) / sigma
+            relaxed *= -float((missed / sigma * turned).sum()) / max(float((turned**2).sum()), 1e-300)
+        taken, missed = taken + relaxed * here, here
+        segments = _less(raw, np.split(taken, np.cumsum([len(s.outputs) for s in raw])[:-1]))
+        unsure = data.thresholds.step_unsure * np.sqrt(np.mean(taken**2, axis=0))
+        data = replace(data, segments=segments, least_noise=unsure)
+        begun = data.coarse_fit(fitted.hypothesis, [fitted.begin], fitted.noise, search.settings.long_steps)
+        fitted = data.converge(begun)
+        if float(np.sqrt(np.mean((here / [joint.sigma for joint in fitted.noise]) ** 2))) < SETTLED:
+            break
+    search = replace(search, data=data)
+    tried = SearchHistory(first=end.tried.first, rejected=end.tried.rejected)
+    base = search.refit(tried, fitted, ())[0] if fitted.hypothesis else fitted
+    after = search.beginning(base, fitted) if fitted.hypothesis else SearchState(base, base, tried=tried)
+    return Simulated(search, after, raw, fitted.fit.model, gain, share)
+
+
+def _error_at(own: Simulator, fitted: Fitted, segments: Sequence[Segment]) -> list[Array]:
+    """For each segment (m, nj + ne) d at a fit."""
+    engine = simulation_of(fitted.fit.model)
+    assert engine is not None
+    return [c[:, :, 0] for c in changes_between(own, replace(own, engine=engine), fitted.fit, segments)]
+
+
+def _error(own: Simulator, model: Model, segments: Sequence[Segment]) -> list[Array]:
+    """The same of a model from the starts that fit it."""
+    if not segments:
+        return []
+    engine = simulation_of(model)
+    assert engine is not None
+    starts = followed(model, segments, own)[0]
+    return [c[:, :, 0] for c in changes_from(own, replace(own, engine=engine), model, segments, starts)]
+
+
+def _less(segments: Sequence[Segment], error: Sequence[Array]) -> list[Segment]:
+    """Segments as if d had not been measured."""
+    found = []
+    for segment, own in zip(segments, error, strict=True):
+        nj = segment.measured.shape[1]
+        also = None if segment.also is None else segment.also - own[:, nj:]
+        found.append(replace(segment, measured=segment.measured - own[:, :nj], also=also))
+    return found
