@@ -190,9 +190,7 @@ class _Part:
     results: Sequence[Predicted]
 
     @classmethod
-    def of(
-        cls, trials: Sequence[Trial], begun: tuple[Array, Array], dt: float, results: Sequence[Predicted]
-    ) -> _Part:
+    def of(cls, trials: Sequence[Trial], begun: tuple[Array, Array], dt: float, results: Sequence[Predicted]) -> _Part:
         """Trials in which models begin so, in steps of dt [s]."""
         times = [trial.sample_times for trial in trials]
         spans = [own[-1] - trial.start if len(own) else 0.0 for own, trial in zip(times, trials, strict=True)]
