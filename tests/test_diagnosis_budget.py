@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import signal
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +14,7 @@ from pendulum_runs import MOTOR, PENDULUM, recorded
 
 from equimus_ctrl.cli.main import main
 from equimus_ctrl.diagnosis import stages
+from equimus_ctrl.diagnosis.budget import BudgetSpent
 from equimus_ctrl.diagnosis.diagnose import DiagnosisSettings, diagnose
 from equimus_ctrl.diagnosis.holdout import Split, split
 from equimus_ctrl.diagnosis.hypothesis import default_free_parameters
@@ -20,11 +22,14 @@ from equimus_ctrl.diagnosis.results import Diagnosis
 from equimus_ctrl.diagnosis.search import Search
 from equimus_ctrl.diagnosis.stages import STAGES
 from equimus_ctrl.effects.force import CoulombFriction
+from equimus_ctrl.effects.joint_friction import QuadraticDamping
+from equimus_ctrl.engines.choice import ReducedEngine
 from equimus_ctrl.errors import ConfigError
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.recordings.csvfile import write
 from equimus_ctrl.report.diagnosis_text import verdict
 from equimus_ctrl.robots.mjcf.robot import MjcfRobot
+from equimus_ctrl.workflow.diagnose import diagnose_recordings
 
 NOMINAL = Model(MjcfRobot("robot", PENDULUM.format(drive=MOTOR)))
 
@@ -121,6 +126,68 @@ def test_before_there_is_any_nothing_is_given(parts: Split) -> None:
     for budget in (0.0, -1.0, float("nan"), float("inf")):
         with pytest.raises(ConfigError, match="expected a time above 0"):
             diagnose(default_free_parameters(NOMINAL), parts, settings=DiagnosisSettings(threads=1, budget=budget))
+
+
+def simulations(monkeypatch: pytest.MonkeyPatch) -> list[int]:
+    """How many models the engine is given, call by call."""
+    own, counts = ReducedEngine.simulate, list[int]()
+
+    def simulate(engine: ReducedEngine, models: Any, *given: Any) -> Any:
+        counts.append(len(models))
+        return own(engine, models, *given)
+
+    monkeypatch.setattr(ReducedEngine, "simulate", simulate)
+    return counts
+
+
+@pytest.mark.parametrize("count", [1, 4, 9, pytest.param(100, marks=pytest.mark.slow)])
+def test_between_two_questions_whether_to_end_lie_few_simulations(
+    parts: Split, monkeypatch: pytest.MonkeyPatch, count: int
+) -> None:
+    """A step's derivatives and what is tried with them, wherever in a fit the time is up."""
+    counts = simulations(monkeypatch)
+    at = list[int]()
+
+    def asked() -> bool:
+        if len(counts) >= count:
+            at.append(len(counts))
+        return len(counts) >= count
+
+    free = default_free_parameters(NOMINAL)
+    found = None
+    with suppress(KeyboardInterrupt):  # where it was not refitted once
+        found = diagnose(free, parts, settings=DiagnosisSettings(threads=1), asked=asked)
+    assert at[0] <= count + 2
+    assert found is None or found.not_done == STAGES
+
+
+def test_a_budget_begins_before_anything_is_simulated(monkeypatch: pytest.MonkeyPatch) -> None:
+    counts = simulations(monkeypatch)
+    with pytest.raises(ConfigError, match=r"the budget of 1e-09 s ended before the model was refitted once"):
+        diagnose_recordings(recorded(NOMINAL, seed=7), NOMINAL, budget=1e-9)
+    assert not counts
+
+
+@pytest.mark.slow
+def test_what_was_found_is_confirmed_after_the_end_in_the_torque_domain_too(monkeypatch: pytest.MonkeyPatch) -> None:
+    given = recorded(Model(NOMINAL.robot, [QuadraticDamping("hinge", 0.02)]), seed=7)
+    found_so_far = False
+    own: Any = Search.steps
+
+    def steps(*given: Any) -> Any:
+        nonlocal found_so_far
+        for state in own(*given):
+            found_so_far = bool(state.best.hypothesis)
+            yield state
+            if found_so_far:
+                raise BudgetSpent
+
+    monkeypatch.setattr(Search, "steps", steps)
+    found = diagnose(
+        default_free_parameters(NOMINAL), split(NOMINAL, given), settings=DiagnosisSettings(threads=1),
+        asked=lambda: found_so_far,
+    )  # fmt: skip
+    assert found.not_done == STAGES and [str(f.named) for f in found.findings] == ["quadratic_damping at hinge"]
 
 
 @pytest.mark.slow

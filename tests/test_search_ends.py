@@ -439,6 +439,25 @@ def test_what_stands_for_other_parameters_is_not_taken() -> None:
     assert end.best.labels == {RUB}
 
 
+@pytest.mark.parametrize("parts", [(RUB, DEAD), (DEAD, RUB)])
+def test_nothing_is_tried_beside_a_part_that_is_not_needed(
+    parts: tuple[str, str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Wherever it stands in the hypothesis."""
+    known = Known({(): 9e3, (RUB,): 1e3, (DEAD,): 9e3, parts: 1e3, (OFF,): 8e3})
+    beside: list[frozenset[str]] = []
+    own = OnPaper.challenge
+
+    def challenge(search: OnPaper, tried: SearchHistory, fitted: Fitted, *given: Any) -> Any:
+        beside.append(fitted.labels)
+        return own(search, tried, fitted, *given)
+
+    monkeypatch.setattr(OnPaper, "challenge", challenge)
+    end = OnPaper(known).exchanged(SearchState(known(), known(*parts)))
+    assert end.best.labels == {RUB}
+    assert beside == [frozenset()]
+
+
 def test_where_no_more_parts_are_asked_for_the_search_says_so() -> None:
     known = Known({(): 5000.0, (RUB,): 2000.0, (OFF,): 1000.0})
     end = OnPaper(known).go_on(SearchState(known(), known(RUB)), further=False)

@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
+
+from equimus_ctrl.errors import ConfigError
 
 Asked = Callable[[], bool]
 """Whether the best so far is asked for."""
@@ -25,14 +28,44 @@ class Budget:
     """When to end.
 
     Attributes:
-        until: the time is up, by ``time.perf_counter`` [s].
+        seconds: after so many the time is up.
         asked: see ``Asked``.
+        begun: when it began, by ``time.perf_counter`` [s].
     """
 
-    until: float = math.inf
+    seconds: float = math.inf
     asked: Asked = never
+    begun: float = 0.0
+
+    @classmethod
+    def beginning_now(cls, seconds: float | None, asked: Asked = never) -> Budget:
+        """From now on, without end by default.
+
+        Raises:
+            ConfigError: for a time that is none.
+        """
+        if seconds is not None and not 0 < seconds < math.inf:
+            raise ConfigError(f"the budget is {seconds:g} s, expected a time above 0")
+        return cls(math.inf if seconds is None else seconds, asked, time.perf_counter())
 
     def check(self) -> None:
         """Raise BudgetSpent where it is time to end."""
-        if self.asked() or time.perf_counter() > self.until:
+        if self.asked() or time.perf_counter() - self.begun > self.seconds:
             raise BudgetSpent
+
+    @contextmanager
+    def with_nothing_yet(self) -> Iterator[None]:
+        """Within it there is no best so far that could be given.
+
+        Raises:
+            KeyboardInterrupt: where it was asked for.
+            ConfigError: where the time is up.
+        """
+        try:
+            yield
+        except BudgetSpent:
+            if self.asked():
+                raise KeyboardInterrupt from None
+            raise ConfigError(
+                f"the budget of {self.seconds:g} s ended before the model was refitted once; expected more time"
+            ) from None

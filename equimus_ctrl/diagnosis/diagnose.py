@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import math
-import time
 from dataclasses import replace
 
 from threadpoolctl import threadpool_limits
 
 from equimus_ctrl.diagnosis import stages
-from equimus_ctrl.diagnosis.budget import Asked, Budget, BudgetSpent, never
+from equimus_ctrl.diagnosis.budget import Asked, Budget, never
 from equimus_ctrl.diagnosis.experiment import Designs
 from equimus_ctrl.diagnosis.fitting import Data
 from equimus_ctrl.diagnosis.holdout import Split
@@ -37,6 +35,7 @@ def diagnose(
     designs: Designs = tuple,
     progress: Progress = lambda stage, share, best: None,
     asked: Asked = never,
+    budget: Budget | None = None,
 ) -> Diagnosis:
     """Find the physics that a model lacks, from recordings.
 
@@ -50,38 +49,30 @@ def diagnose(
         designs: experiments to choose from where effects are not distinguishable.
         progress: see ``Progress``.
         asked: whether its best so far is to be given now; asked after each step of a fit.
+        budget: one that has begun before, in the place of the settings' and of ``asked``.
 
     Raises:
         SimulationDiverged: where the model diverges on every trial.
         ConfigError: where an effect is to be excluded that is not known, or the budget does not do for the first refit.
         KeyboardInterrupt: where the best so far is asked for before there is any.
     """
-    begun = time.perf_counter()
     settings = settings or DiagnosisSettings()
     _check(settings)
-    budget = Budget(begun + (settings.budget or math.inf), asked)
+    budget = budget or Budget.beginning_now(settings.budget, asked)
     with threadpool_limits(limits=1, user_api="blas"):  # sums in another order would change the last bits
         if simulator is None:
             data = _with_default_engine(free, split, settings)
         else:
             data = _with_engine_given(free, split, simulator)
         data = replace(data, budget=budget, thresholds=settings.thresholds)
-        inputs = DiagnosisInputs(data, split, settings, designs, forward(progress), begun, nominal or free.model)
-        try:
+        inputs = DiagnosisInputs(data, split, settings, designs, forward(progress), budget.begun, nominal or free.model)
+        with budget.with_nothing_yet():
             state = stages.carried_out(inputs)
-        except BudgetSpent:
-            if asked():
-                raise KeyboardInterrupt from None
-            raise ConfigError(
-                f"the budget of {settings.budget:g} s ended before the model was refitted once; expected more time"
-            ) from None
         return report(state)
 
 
 def _check(settings: DiagnosisSettings) -> None:
     """Raise ConfigError where settings cannot be used."""
-    if settings.budget is not None and not 0 < settings.budget < math.inf:
-        raise ConfigError(f"the budget is {settings.budget:g} s, expected a time above 0")
     for name in settings.exclude:
         if name not in REGISTRY:
             raise ConfigError(unknown_name("effect", name, REGISTRY))

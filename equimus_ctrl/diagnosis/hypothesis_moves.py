@@ -432,7 +432,8 @@ class HypothesisMoves(Scoring):
     def _dropped_or_exchanged(self, state: SearchState) -> tuple[SearchState, bool]:
         """The first part that is not needed dropped, or the first that another outdoes exchanged; whether one was.
 
-        Where none was, the state has all fits without a part and with another in its place.
+        Where none was, the state has all fits without a part and with another in its place. Nothing is tried in a
+        part's place beside one that is not needed: that takes much longer than to find out which are.
         """
         best, tried = state.best, state.tried
         without: list[Fitted] = []
@@ -442,8 +443,10 @@ class HypothesisMoves(Scoring):
             rest, tried = self.refit(tried, best, best.hypothesis[:k] + best.hypothesis[k + 1 :])
             if not self.accepts(rest, best):
                 return replace(state, best=rest, without=(), alternatives=(), tried=tried), True
-            others, tried = self.challenge(tried, rest, part.candidate.label, best)
             without.append(rest)
+        for part, rest in zip(best.hypothesis, without, strict=True):
+            self.notify(f"in the place of {part.candidate.label}", best.label)
+            others, tried = self.challenge(tried, rest, part.candidate.label, best)
             alternatives.append(tuple(others))
             no_larger = [o for o in others if len(o.hypothesis) <= len(best.hypothesis)]
             better = [o for o in no_larger if self.outdoes(o, best)]

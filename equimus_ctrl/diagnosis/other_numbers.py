@@ -56,6 +56,11 @@ Row = tuple[str, Value, Role, Basis, str]
 
 _ROWS: Mapping[str, tuple[Row, ...]] = {
     # --- what recordings and models have to be ---------------------------------------------------------------------
+    "diagnosis.simulated": (
+        ("SETTLED", 0.05, "method", "convention", "rounds of the step's error end: it changes by so much of the noise"),
+        ("ROUNDS", 6, "method", "convention", "so many of them at most"),
+        ("NOISELESS", 1e-4, "looked at", "convention", "noise, of the motion, below which laws with states are asked"),
+    ),
     "diagnosis.preflight": (
         (
             "UNLIKE",

@@ -6,7 +6,6 @@ import time
 from collections.abc import Iterable
 from dataclasses import replace
 
-from equimus_ctrl.diagnosis.budget import Budget
 from equimus_ctrl.diagnosis.confirmation import HoldoutResiduals
 from equimus_ctrl.diagnosis.experiment import separating
 from equimus_ctrl.diagnosis.findings import beyond_range, detectable, findings, named_part, notes, ranking, verdict
@@ -34,7 +33,7 @@ def tested(state: State) -> State:
 
 def report(state: State) -> Diagnosis:
     """The findings with evidence and intervals, and the rest of the report, which no budget ends."""
-    state = tested(replace(state, search=replace(state.search, data=replace(state.data, budget=Budget()))))
+    state = tested(state.without_budget())
     inputs, search, end, unexplained = state.inputs, state.search, state.end, state.analysis.unexplained
     data, split, model = state.data, inputs.split, inputs.nominal
     sigma = noise_sizes(data, end.best)[: len(end.best.fit.rmse)]

@@ -83,7 +83,11 @@ def linearise_fit(data: Data, fitted: Fitted, noise: Noise, dt: float = STEP) ->
         fitted: the hypothesis.
         noise: by which residual, derivatives and answers to forces are whitened.
         dt: physics step of motions that equations are linearised along [s].
+
+    Raises:
+        BudgetSpent: where the budget ends.
     """
+    data.budget.check()
     model = fitted.fit.model
     whitened_fit = whiten_fit(data.times, fitted.fit, noise)
 
@@ -97,6 +101,7 @@ def linearise_fit(data: Data, fitted: Fitted, noise: Noise, dt: float = STEP) ->
         )
     except SimulationDiverged:
         return None
+    data.budget.check()
     linearised = observed(response, model.robot, data.segments)
     motions = list(linearised.motions)
     forces = [*families(model, motions), *harmonics(model, motions, frequencies(motions))]

@@ -403,16 +403,13 @@ def _changes(
         guesses: what to.
         thetas: for each guess the model parameters, those of ``fitted`` by default.
     """
-    data.budget.check()
     present = fitted.fit.theta[: len(data.free.free)]
     models = _models(data, guesses, [present] * len(guesses) if thetas is None else thetas)
-    # Dry friction anywhere makes the engine look for it everywhere.
-    rubs = [any(e.rubs for e in model.effects) for model in models]
+    kinds = [_kind(model) for model in models]
     changes = [np.zeros((*s.outputs.shape, len(guesses))) for s in data.segments]
-    for group in (True, False):
-        rows = [k for k, rub in enumerate(rubs) if rub == group]
-        if not rows:
-            continue
+    for kind in dict.fromkeys(kinds):
+        data.budget.check()
+        rows = [k for k, own in enumerate(kinds) if own == kind]
         starts = [np.tile(start, (len(rows), 1)) for start in fitted.fit.starts]
         after = data.screening_simulator([models[k] for k in rows], data.segments, starts)
         for change, predicted, before in zip(changes, after, reference, strict=True):
@@ -421,6 +418,16 @@ def _changes(
             moved[before.reached[0] :] = 0.0
             change[:, :, rows] = moved
     return changes
+
+
+def _kind(model: Model) -> tuple[bool, tuple[str, ...]]:
+    """Of what is simulated together: whether there is dry friction, and which effects have equations of their own.
+
+    Dry friction anywhere makes the engine look for it everywhere. Equations that are not compiled yet take seconds, so
+    a budget is asked before each.
+    """
+    own = {e.name for e in model.effects if e.own_equations and not model.robot.traits.keeps_states_of_laws}
+    return any(e.rubs for e in model.effects), tuple(sorted(own))
 
 
 def _models(data: Data, guesses: Sequence[Hypothesis], thetas: Sequence[Array]) -> list[Model]:

@@ -86,10 +86,20 @@ class Simulated:
         return _taken_off(self.search, self.end, self.raw, self.end.best, self.gain, self.share)
 
     def without_error(self, split: Split) -> Split:
-        """The trials that are held out, likewise."""
-        own = self.search.data.simulator
-        validation, test = (_less(s, _error(own, self.model, s)) for s in (split.validation, split.test))
-        return replace(split, train=tuple(self.search.data.segments), validation=tuple(validation), test=tuple(test))
+        """The trials that are held out, likewise: from where they start the error follows, and by it where they do."""
+        data, raw = self.search.data, (*split.validation, *split.test)
+        held_out: Sequence[Segment] = raw
+        before = [np.zeros(s.outputs.shape) for s in raw]
+        for _ in range(ROUNDS if raw else 0):
+            error = _error(data.simulator, self.model, held_out)
+            held_out = _less(raw, error)
+            change = np.concatenate([own - old for own, old in zip(error, before, strict=True)])
+            if np.all(np.sqrt(np.mean(change**2, axis=0)) < SETTLED * np.asarray(data.least_noise)):
+                break
+            before = error
+        count = len(split.validation)
+        validation, test = tuple(held_out[:count]), tuple(held_out[count:])
+        return replace(split, train=tuple(data.segments), validation=validation, test=test)
 
 
 def simulated(search: Search, end: SearchState) -> Simulated | None:
@@ -180,8 +190,6 @@ def _error_at(own: Simulator, fitted: Fitted, segments: Sequence[Segment]) -> li
 
 def _error(own: Simulator, model: Model, segments: Sequence[Segment]) -> list[Array]:
     """The same of a model from the starts that fit it."""
-    if not segments:
-        return []
     engine = simulation_of(model)
     assert engine is not None
     starts = followed(model, segments, own)[0]

@@ -89,7 +89,7 @@ def carried_out(inputs: DiagnosisInputs) -> State:
     """
     state = _through(inputs, ORDER)
     unconfirmed = state.ended_in and STAGES.index(state.ended_in) <= STAGES.index(CONFIRMATION)
-    return confirm_as_fitted(state) if unconfirmed else state
+    return confirm_as_fitted(state.without_budget()) if unconfirmed else state
 
 
 def _through(inputs: DiagnosisInputs, order: Sequence[Stage]) -> State:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
+from equimus_ctrl.diagnosis.budget import Budget
 from equimus_ctrl.diagnosis.differences import AnotherUnit, Difference
 from equimus_ctrl.diagnosis.experiment import Designs
 from equimus_ctrl.diagnosis.fitting import Data, Fitted
@@ -127,6 +128,10 @@ class State:
     def data(self) -> Data:
         """What hypotheses are fitted to by now."""
         return self.search.data
+
+    def without_budget(self) -> State:
+        """The same for work of bounded size that is carried out though the budget may have ended."""
+        return replace(self, search=replace(self.search, data=replace(self.data, budget=Budget())))
 
     def ended(self, stage: str) -> State:
         """The same, its budget having ended in a stage."""

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any, ClassVar, cast
 
 import casadi as ca
@@ -449,7 +450,12 @@ def laws_of(effects: Sequence[Effect]) -> tuple[type[ForceEffect], ...]:
 
 def force_laws(robots: Robots = "elastic") -> tuple[type[ForceEffect], ...]:
     """All registered effects that exert a force and that a kind of robots can have, by name."""
-    found = (cls for cls in REGISTRY.values() if issubclass(cls, ForceEffect) and robots in cls.robots)
+    return _forces_among(tuple(REGISTRY.values()), robots)
+
+
+@lru_cache(maxsize=16)
+def _forces_among(classes: tuple[type[Effect], ...], robots: Robots) -> tuple[type[ForceEffect], ...]:
+    found = (cls for cls in classes if issubclass(cls, ForceEffect) and robots in cls.robots)
     return tuple(sorted(cast("list[type[ForceEffect]]", list(found)), key=lambda cls: cls.name))
 
 
@@ -458,5 +464,12 @@ def laws_with(effects: Sequence[Effect], robots: Robots) -> tuple[type[ForceEffe
 
     Laws with states of their own, and laws outside the catalogue, only where one of the effects has them.
     """
-    usual = {law for law in force_laws(robots) if not law.n_states}
-    return tuple(sorted(usual.union(laws_of(effects)), key=lambda law: law.name))
+    return _usual_and(force_laws(robots), laws_of(effects))
+
+
+@lru_cache(maxsize=256)
+def _usual_and(
+    catalogue: tuple[type[ForceEffect], ...], own: tuple[type[ForceEffect], ...]
+) -> tuple[type[ForceEffect], ...]:
+    usual = {law for law in catalogue if not law.n_states}
+    return tuple(sorted(usual.union(own), key=lambda law: law.name))

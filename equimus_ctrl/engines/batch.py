@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Hashable, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -88,7 +89,7 @@ def _simulated(
                 f"{model.name} and {models[0].name} differ in structure or phase, so they cannot run together"
             )
     results = [Predicted.empty(k, trial, nj) for trial in trials]
-    tasks: list[tuple[_Block, list[int]]] = []
+    tasks: list[tuple[_Block, _Part]] = []
     histories = _Histories()
     count = computer.worker_count(threads, name="threads")
     for condition in dict.fromkeys(trial.condition for trial in trials):
@@ -104,14 +105,14 @@ def _simulated(
             parts_a_thread = 1 if led else BATCHES_A_THREAD
             size = max(math.ceil(len(own_trials) * len(blocks) / (parts_a_thread * count)), 1)
             for together in _shared(trials, own_trials):
-                parts = [together[first : first + size] for first in range(0, len(together), size)]
-                tasks += [(block, part) for part in parts for block in blocks]
+                for first in range(0, len(together), size):
+                    indices = together[first : first + size]
+                    own, at = [trials[i] for i in indices], None if starts is None else [starts[i] for i in indices]
+                    part = _Part.of(own, _begun(arrays, chosen, own, at), dt, [results[i] for i in indices])
+                    tasks += [(block, part) for block in blocks]
 
-    def work(task: tuple[_Block, list[int]]) -> None:
-        block, chosen = task
-        own = [trials[index] for index in chosen]
-        at = None if starts is None else [starts[index] for index in chosen]
-        block.run(own, at, dt, [results[index] for index in chosen])
+    def work(task: tuple[_Block, _Part]) -> None:
+        task[0].run(task[1], dt)
 
     count = min(count, len(tasks))
     if count <= 1:
@@ -136,6 +137,84 @@ def _shared(trials: Sequence[Trial], chosen: Sequence[int]) -> list[list[int]]:
     for index in chosen:
         groups.setdefault(trials[index].history, []).append(index)
     return list(groups.values())
+
+
+def _begun(
+    coded: Encoded, chosen: Sequence[int], trials: Sequence[Trial], starts: Sequence[Array] | None
+) -> tuple[Array, Array, Array]:
+    """(trials, k, nv) positions and velocities with which some models begin, and (trials, k, nm) what else is unknown.
+
+    See ``Trial.begun`` and ``hidden.with_unknown``.
+
+    Args:
+        coded: the models.
+        chosen: which rows of starts are theirs.
+        trials: what is done.
+        starts: for each trial (·, nj), (·, 2 nj), (·, 2 nj + 2 nl) or (·, 2 nj + 2 nl + nm); the trial's own by
+            default.
+    """
+    robot, k = coded.models[0].robot, len(chosen)
+    nj, rows = len(robot.joint_names), _run_of(np.array(chosen))
+    beside = len(robot.prescribed_names) + len(robot.unmeasured_names)
+    if starts is not None and not beside and all(own.shape == (len(own), 2 * nj) for own in starts):
+        whole = np.stack([own[rows] for own in starts])
+        return whole[:, :, :nj], whole[:, :, nj:], whole[:, :, 2 * nj :]
+    q0, v0 = np.empty((2, len(trials), k, nj + beside))
+    known = 2 * (nj + robot.loose_count)
+    widest = 0 if starts is None else max(own.shape[-1] - known for own in starts)
+    unknown = np.zeros((len(trials), k, max(widest, 0)))
+    for t, trial in enumerate(trials):
+        row = trial.position if starts is None else starts[t][rows]
+        q, speed = np.broadcast_to(row[..., :nj], (k, nj)), row[..., nj : 2 * nj]
+        if not speed.size:
+            speed = np.zeros(nj) if trial.velocity is None else trial.velocity
+        q0[t], v0[t] = trial.begun(robot, q, np.broadcast_to(speed, (k, nj)), row[..., 2 * nj : known])
+        unknown[t, :, : row[..., known:].shape[-1]] = row[..., known:]
+    return q0, v0, unknown
+
+
+@dataclass(frozen=True, eq=False)
+class _Part:
+    """Trials of one history of commands, with what of them is the same for all models.
+
+    Attributes:
+        trials: what is done.
+        position: (trials, k, nv) with which k models begin [rad or m].
+        velocity: the same [rad/s or m/s].
+        unknown: (trials, k, nm) what else they begin with, see ``hidden.with_unknown``.
+        start: (trials,) [s].
+        steps: (trials,) physics steps.
+        times: (m,) sample times of all trials [s].
+        place: (trials + 1,) where in these each begins, and its end.
+        results: for each trial, written.
+    """
+
+    trials: Sequence[Trial]
+    position: Array
+    velocity: Array
+    unknown: Array
+    start: Array
+    steps: NDArray[np.int64]
+    times: Array
+    place: NDArray[np.int64]
+    results: Sequence[Predicted]
+
+    @classmethod
+    def of(
+        cls, trials: Sequence[Trial], begun: tuple[Array, Array, Array], dt: float, results: Sequence[Predicted]
+    ) -> _Part:
+        """Trials in which models begin so, in steps of dt [s]."""
+        times = [trial.sample_times for trial in trials]
+        spans = [own[-1] - trial.start if len(own) else 0.0 for own, trial in zip(times, trials, strict=True)]
+        return cls(
+            trials,
+            *begun,
+            np.array([trial.start for trial in trials], dtype=np.float64),
+            np.maximum(np.ceil(np.array(spans) / dt - 1e-9), 1).astype(np.int64),
+            np.concatenate(times),
+            np.concatenate([[0], np.cumsum([len(own) for own in times])]),
+            results,
+        )
 
 
 class _Histories:
@@ -192,38 +271,17 @@ class _Block:
             self._commands[key] = np.ascontiguousarray(whole[:, 1:]), np.ascontiguousarray(whole[:, 0])
         return self._commands[key]
 
-    def run(
-        self, trials: Sequence[Trial], starts: Sequence[Array] | None, dt: float, results: Sequence[Predicted]
-    ) -> None:
-        """Simulate trials of one history of commands from their own starts, or from rows of ``starts`` for all models.
-
-        Args:
-            trials: what is done.
-            starts: for each trial (k, nj), (k, 2 nj), (k, 2 nj + 2 nl) or (k, 2 nj + 2 nl + nm), for all models, see
-                ``simulate``.
-            dt: physics step [s].
-            results: for each trial, written.
-        """
+    def run(self, part: _Part, dt: float) -> None:
+        """Simulate trials of one history of commands, by physics steps of dt [s]."""
+        trials, results, place, start, steps = part.trials, part.results, part.place, part.start, part.steps
         k, nj, robot = len(self.kinds), results[0].position.shape[2], self.coded.models[0].robot
-        q0, v0 = np.empty((2, len(trials), k, nj + len(robot.prescribed_names) + len(robot.unmeasured_names)))
-        known = 2 * (nj + robot.loose_count)
-        for t, trial in enumerate(trials):
-            row = trial.position if starts is None else starts[t][self.models]
-            q, speed = np.broadcast_to(row[..., :nj], (k, nj)), row[..., nj : 2 * nj]
-            if not speed.size:
-                speed = np.zeros(nj) if trial.velocity is None else trial.velocity
-            q0[t], v0[t] = trial.begun(robot, q, np.broadcast_to(speed, (k, nj)), row[..., 2 * nj : known])
+        q0, v0 = part.position[:, self.rows], part.velocity[:, self.rows]
         commands, before = self.commands(trials[0])
         given = Commands(commands, before, self.valve, self.follow)
         first = np.zeros((len(trials), *self.follow.shape[:2]))
         if self.follow[:, :, FOLLOW_KIND].any():
             first[:] = [first_activations(self.coded, self.rows, own, q) for own, q in zip(trials, q0, strict=True)]
         led = lead(self.coded, self.rows, trials, given, self.sensor, first, dt)
-        times = [trial.sample_times for trial in trials]
-        place = np.concatenate([[0], np.cumsum([len(own) for own in times])])
-        start = np.array([trial.start for trial in trials], dtype=np.float64)
-        spans = [own[-1] - trial.start if len(own) else 0.0 for own, trial in zip(times, trials, strict=True)]
-        steps = np.maximum(np.ceil(np.array(spans) / dt - 1e-9), 1).astype(np.int64)
         position = np.empty((k, place[-1], len(self.moved)))
         reached = np.zeros((len(trials), k), np.int64)
         forces = any(trial.forces for trial in trials)
@@ -234,9 +292,7 @@ class _Block:
         hidden = led_states(
             self.lanes, self.parameters, trials[0].times, given, self.sensor, led, (start, q, v), dt, linear
         )
-        if starts is not None and starts[0].shape[-1] > known:
-            unknown = np.array([rows[self.models, known:] for rows in starts])
-            hidden = with_unknown(self.coded, self.rows, hidden, unknown)
+        hidden = with_unknown(self.coded, self.rows, hidden, part.unknown[:, self.rows])
         self.lanes.kernel.run_trials(
             self.lanes.robot,
             self.parameters,
@@ -255,7 +311,7 @@ class _Block:
             start,
             dt,
             steps,
-            np.concatenate(times),
+            part.times,
             place,
             position,
             reached,

@@ -12,7 +12,8 @@ SINDy for partial differential equations", 2021). Commands are smoothed alike, s
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from functools import lru_cache
 
 import casadi as ca
 import mujoco
@@ -20,11 +21,12 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from equimus_ctrl.effects.base import Effect
 from equimus_ctrl.effects.command import DELAY, FILL, VENT, pressure_history
 from equimus_ctrl.effects.force import ForceEffect, force_effects
 from equimus_ctrl.effects.sensors import SCALE, SENSOR_DELAY, behind
-from equimus_ctrl.effects.valves import valve_settings
-from equimus_ctrl.engines.mjcf import commands_on, moved_along
+from equimus_ctrl.effects.valves import shaping_effects, valve_settings
+from equimus_ctrl.engines.mjcf import commands_on
 from equimus_ctrl.engines.mjcf_kernel import called
 from equimus_ctrl.engines.mjcf_realised import Realised, function_address, realise, scratch
 from equimus_ctrl.engines.trials import Condition, Trial
@@ -122,21 +124,9 @@ def weighed_as_motion(values: Array, width: int) -> Array:
 
 def _along_motion(own: Realised, laws: Sequence[ForceEffect], motion: MeasuredMotion, width: int) -> InverseDynamics:
     """The same of one of them, of a robot with its effects but the laws at joints."""
-    dt, stride = motion.interval, max(width // 2, 1)
-    moved = moved_along(own, motion.trial, motion.time)[0]
-    shown = np.column_stack([behind(own.sensor, motion.position), moved])
-    late = np.append(own.sensor[:, SENSOR_DELAY], np.zeros(moved.shape[1])) / dt
-    rows, nj = np.arange(1, len(shown) - 1), motion.position.shape[1]
-    q, v, a = (
-        _earlier(late, _smoothed(values, width))
-        for values in (
-            shown[rows],
-            (shown[rows + 1] - shown[rows - 1]) / (2 * dt),
-            (shown[rows + 1] - 2 * shown[rows] + shown[rows - 1]) / dt**2,
-        )
-    )
-    u = weighed_as_motion(_commands(own, motion), width)
-    q, v, a = (values[::stride].copy() for values in (q, v, a))
+    dt, stride, nj = motion.interval, max(width // 2, 1), motion.position.shape[1]
+    q, v, a = _motion_behind(motion, width, own.sensor.tobytes(), own.robot.prescribed_names)
+    u = _commands_of(motion, width, _Way.of(own)).copy()
     missing, drives = (forces[:, :nj].copy() for forces in _evaluated(own, q, v, a, u))
     q, v = q[:, :nj].copy(), v[:, :nj].copy()
     missing += own.loss * np.sign(v)
@@ -155,6 +145,28 @@ def _along_motion(own: Realised, laws: Sequence[ForceEffect], motion: MeasuredMo
     low, high = own.robot.joint_range
     moving = (np.abs(v) > STILL * noise) & (q > low) & (q < high)
     return InverseDynamics(q, v, drives, missing, moving, max(round(width / stride), 1), time)
+
+
+@lru_cache(maxsize=32)
+def _motion_behind(
+    motion: MeasuredMotion, width: int, sensor: bytes, prescribed: tuple[str, ...]
+) -> tuple[Array, Array, Array]:
+    """(n, nj + np) positions, rates and accelerations behind sensors (nj, 4) as bytes; most models have the same."""
+    dt, stride = motion.interval, max(width // 2, 1)
+    settings = np.frombuffer(sensor).reshape(motion.position.shape[1], -1)
+    moved = motion.trial.motion_of(prescribed).at(motion.time)[0] if prescribed else np.empty((len(motion.time), 0))
+    shown = np.column_stack([behind(settings, motion.position), moved])
+    late = np.append(settings[:, SENSOR_DELAY], np.zeros(moved.shape[1])) / dt
+    rows = np.arange(1, len(shown) - 1)
+    q, v, a = (
+        _earlier(late, _smoothed(values, width))[::stride].copy()
+        for values in (
+            shown[rows],
+            (shown[rows + 1] - shown[rows - 1]) / (2 * dt),
+            (shown[rows + 1] - 2 * shown[rows] + shown[rows - 1]) / dt**2,
+        )
+    )
+    return q, v, a
 
 
 def law_force(
@@ -260,6 +272,46 @@ def _earlier(samples: Array, values: Array) -> Array:
         return values
     at = np.arange(len(values))
     return np.column_stack([np.interp(at + late, at, values[:, j]) for j, late in enumerate(samples)])
+
+
+@dataclass(frozen=True)
+class _Way:
+    """What is on the way from commands to a robot's drives, and a robot that has it.
+
+    Attributes:
+        shaping: effects that shape commands.
+        ranges: between what drives clip them, as bytes.
+        valve: (na, 6) of the actuators, as bytes.
+        filters: (nu, …) numbers of actuators' own filters, as bytes.
+        dt: the physics step on which commands are evaluated [s].
+        own: the robot.
+    """
+
+    shaping: tuple[Effect, ...]
+    ranges: bytes
+    valve: bytes
+    filters: bytes
+    dt: float
+    own: Realised = field(compare=False)
+
+    @classmethod
+    def of(cls, own: Realised) -> _Way:
+        """That of a robot."""
+        ranges, numbers = own.robot.command_ranges, own.mujoco.actuator_dynprm
+        return cls(
+            tuple(shaping_effects(own.effects)),
+            b"" if ranges is None else np.asarray(ranges).tobytes(),
+            own.valve.tobytes(),
+            numbers.tobytes(),
+            float(own.mujoco.opt.timestep),
+            own,
+        )
+
+
+@lru_cache(maxsize=32)
+def _commands_of(motion: MeasuredMotion, width: int, way: _Way) -> Array:
+    """(n, na) ``_commands`` weighed as the motion is; most models have the same."""
+    return weighed_as_motion(_commands(way.own, motion), width)
 
 
 def _commands(own: Realised, motion: MeasuredMotion) -> Array:

@@ -6,6 +6,7 @@ import ctypes
 from collections.abc import Hashable, Sequence
 from dataclasses import dataclass, field
 from functools import cache, lru_cache
+from operator import attrgetter
 from pathlib import Path
 from threading import local
 from typing import Any
@@ -159,10 +160,10 @@ def _laws(stepped: Laws, effects: Sequence[ForceEffect], joints: Sequence[str]) 
 
 
 @cache
-def _sizes() -> tuple[str, ...]:
-    """Names of a model's sizes, on which its ``MjData`` depends: MuJoCo would write beyond the ends of another's."""
+def _sizes() -> attrgetter[tuple[int, ...]]:
+    """A model's sizes, on which its ``MjData`` depends: MuJoCo would write beyond the ends of another's."""
     model = mujoco.MjModel.from_xml_string("<mujoco/>")
-    return tuple(name for name in dir(model) if name.startswith("n") and isinstance(getattr(model, name), int))
+    return attrgetter(*(name for name in dir(model) if name.startswith("n") and isinstance(getattr(model, name), int)))
 
 
 class _Scratch(local):
@@ -172,7 +173,7 @@ class _Scratch(local):
         self.known: dict[tuple[int, ...], Any] = {}
 
     def data(self, model: Any) -> Any:
-        key = (*(getattr(model, size) for size in _sizes()), hash(model.names))
+        key = (*_sizes()(model), hash(model.names))
         if key not in self.known:
             self.known[key] = mujoco.MjData(model)
         data = self.known[key]

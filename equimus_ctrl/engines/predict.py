@@ -147,16 +147,22 @@ def behind_all(models: Sequence[Model], shown: Sequence[Array], trials: Sequence
     nj = len(names)
     settings = {m.effects: sensor_settings(m.effects, names) for m in {m.effects: m for m in models}.values()}
     sensor = np.array([settings[m.effects] for m in models])
-    found, play = [], bool(np.any(sensor[:, :, PLAY] > 0.0))
-    for rows, trial in zip(shown, trials, strict=True):
-        true = np.array(rows)
-        true[:, :nj] = behind(sensor, true[:, :nj])
-        if play and trial is not None and (going := trial.going) is not None:
-            true[:, :nj] += ahead(sensor, np.sign(going[1][:nj] / sensor[:, :, SCALE]))
-        true[:, nj:] /= sensor[:, : true.shape[1] - nj, SCALE]
-        if true.shape[1] > nj and not traits.starts_at_rest:
-            true[:, :nj] += true[:, nj:] * sensor[:, :, SENSOR_DELAY]  # it has moved on since
-        found.append(true)
+    found, play = [np.empty(0)] * len(shown), bool(np.any(sensor[:, :, PLAY] > 0.0))
+    shapes: dict[tuple[int, ...], list[int]] = {}
+    for place, rows in enumerate(shown):
+        shapes.setdefault(rows.shape, []).append(place)
+    for (_, n), places in shapes.items():
+        true = np.stack([shown[place] for place in places])  # (t, k, n)
+        true[..., :nj] = behind(sensor, true[..., :nj])
+        for own, place in zip(true, places if play else (), strict=False):
+            trial = trials[place]
+            if trial is not None and (going := trial.going) is not None:
+                own[:, :nj] += ahead(sensor, np.sign(going[1][:nj] / sensor[:, :, SCALE]))
+        true[..., nj:] /= sensor[:, : n - nj, SCALE]
+        if n > nj and not traits.starts_at_rest:
+            true[..., :nj] += true[..., nj:] * sensor[:, :, SENSOR_DELAY]  # it has moved on since
+        for place, own in zip(places, true, strict=True):
+            found[place] = own
     return found
 
 

@@ -254,10 +254,10 @@ def _fit(
         gain = (point.cost - tried[best].cost) / max(point.cost, 1e-300)
         if gain > 0:
             point, damping, slopes = tried[best], float(dampings[best]), None
-        elif dampings[-1] < MOST_DAMPING and np.abs(changes[-1]).max() > settings.tolerance:
+        notify(problem.evaluations, float(np.sqrt(sum((r**2).sum() for r in point.residuals) / samples)))
+        if not gain > 0 and dampings[-1] < MOST_DAMPING and np.abs(changes[-1]).max() > settings.tolerance:
             damping = float(dampings[-1]) * 10
             continue
-        notify(problem.evaluations, float(np.sqrt(sum((r**2).sum() for r in point.residuals) / samples)))
         if gain < settings.tolerance:
             converged = True
             break

@@ -258,26 +258,44 @@ class Problem:
         models = [*[base] * first, *moved, *([base] * most)]
         starts = []
         for segment, start in zip(self.segments, point.starts, strict=True):
-            rows = np.tile(start, (len(models), 1))
-            for k, place in enumerate(segment.free_at):
-                rows[first + p + k, place] += by
+            rows, free = np.tile(start, (len(models), 1)), segment.free_at
+            rows[first + p + np.arange(len(free)), free] += by
             starts.append(rows)
         self.evaluations += len(models)
-        by_theta, by_start = [], []
+        nothing = np.empty(0)
+        by_theta, by_start = [nothing] * len(starts), [nothing] * len(starts)
         simulated = (self.coarse or self.simulator)(models, self.segments, starts)
-        for segment, found, known, residual in zip(
-            self.segments, simulated, point.predicted, point.residuals, strict=True
-        ):
-            with np.errstate(invalid="ignore", over="ignore"):  # what diverges is dropped below
-                change = found.position[first:] - (found.position[0] if first else known)
-            change[~found.sound[first:]] = 0.0  # a neighbour that diverges gives no slope
-            if first and not found.sound[0]:
-                change[:, found.reached[0] :] = 0.0
-            elif not first:
-                change[:, np.any(np.abs(residual) >= FARTHEST * segment.scales, axis=1)] = 0.0
-            by_theta.append(np.moveaxis(change[:p] / steps[:, None, None], 0, -1))
-            by_start.append(np.moveaxis(change[p : p + len(segment.free_at)] / by, 0, -1))
+        for members in self._shapes:
+            changes = self._changes(members, simulated, point, first)
+            slopes = np.moveaxis(changes[:, :p] / steps[:, None, None], 1, -1)
+            of_starts = np.moveaxis(changes[:, p:] / by, 1, -1)
+            for k, slope, of_start in zip(members, slopes, of_starts, strict=True):
+                by_theta[k], by_start[k] = slope, of_start[..., : len(self.segments[k].free_at)]
         return by_theta, by_start
+
+    def _changes(self, members: list[int], simulated: Sequence[Predicted], point: Point, first: int) -> Array:
+        """(w, k, m, nj) changes of the predictions of w segments of one shape by k neighbours of a point.
+
+        Args:
+            members: which segments.
+            simulated: of all segments.
+            point: whose predictions are known.
+            first: whether it was simulated too, before its neighbours.
+        """
+        found = [simulated[k] for k in members]
+        whole = np.stack([own.position for own in found])
+        base = whole[:, :1] if first else np.stack([point.predicted[k] for k in members])[:, None]
+        with np.errstate(invalid="ignore", over="ignore"):  # what diverges is dropped below
+            changes: Array = whole[:, first:] - base
+        for k, own, change in zip(members, found, changes, strict=True):
+            if not own.sound.all():
+                change[~own.sound[first:]] = 0.0  # a neighbour that diverges gives no slope
+            if first and not own.sound[0]:
+                change[:, own.reached[0] :] = 0.0
+            elif not first:
+                lost = np.abs(point.residuals[k]) >= FARTHEST * self.segments[k].scales
+                change[:, np.any(lost, axis=1)] = 0.0
+        return changes
 
 
 def _triangle(matrix: Array) -> Array:

@@ -8,16 +8,18 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from equimus_ctrl.diagnosis import preflight
-from equimus_ctrl.diagnosis.budget import Asked, never
+from equimus_ctrl.diagnosis.budget import Asked, Budget, never
 from equimus_ctrl.diagnosis.diagnose import DiagnosisSettings, Progress, diagnose
 from equimus_ctrl.diagnosis.experiment import Design
-from equimus_ctrl.diagnosis.holdout import check_settings, never_held_out, split
+from equimus_ctrl.diagnosis.holdout import Split, check_settings, never_held_out, split
 from equimus_ctrl.diagnosis.hypothesis import default_free_parameters
 from equimus_ctrl.diagnosis.policy import SearchSettings
 from equimus_ctrl.diagnosis.results import Diagnosis
 from equimus_ctrl.diagnosis.servo_gains import ServoGain, servo_gains, told, with_servo_gains
 from equimus_ctrl.engines.predict import check_columns
 from equimus_ctrl.errors import ConfigError, EquimusError
+from equimus_ctrl.identification.parameters import FreeParameters
+from equimus_ctrl.identification.simulators import Simulator
 from equimus_ctrl.models.model import Model, nominal_model
 from equimus_ctrl.options import DiagnoseOptions, with_changes
 from equimus_ctrl.workflow.groups import by_folder, check_enough, check_fitted
@@ -55,6 +57,23 @@ def diagnose_recordings(
     """
     model = model or nominal_model()
     options = with_file(with_changes(DiagnoseOptions, options, changes), model)
+    budget = Budget.beginning_now(options.budget, asked)
+    with budget.with_nothing_yet():
+        free, parts, settings = _prepared(recordings, model, options, budget)
+    return diagnose(
+        free, parts, settings=settings, nominal=model, designs=lambda: sweeps(model), progress=progress, budget=budget
+    )
+
+
+def _prepared(
+    recordings: Some, model: Model, options: DiagnoseOptions, budget: Budget
+) -> tuple[FreeParameters, Split, DiagnosisSettings]:
+    """What is free, the trials fitted and held out, and how a diagnosis goes; see ``diagnose_recordings``.
+
+    Raises:
+        EquimusError: where something given cannot be used.
+        BudgetSpent: where the budget ends, asked before each step that may take seconds.
+    """
     if options.shoot is not None and model.robot.traits.held_in_place:
         raise ConfigError("multiple shooting is for MJCF robots; a leg's trials are fitted whole")
     if options.by is None:
@@ -67,9 +86,11 @@ def diagnose_recordings(
         check_enough(groups, options)
     for trial in trials:
         check_columns(model, trial)
+    budget.check()
     preflight.check(model, trials)
     chosen = default_free_parameters(model, options.free, options.bounds, options.fix)
     gains: tuple[ServoGain, ...] = ()
+    budget.check()
     if options.free is None:
         fitted = never_held_out(
             model,
@@ -82,10 +103,15 @@ def diagnose_recordings(
         )
         gains = servo_gains(model, fitted)
     chosen = with_servo_gains(chosen, gains, options.bounds, options.fix)
+
+    def simulator() -> Simulator:
+        budget.check()  # the first simulation may compile equations
+        return simulator_of(options.engine, None, options.threads, model, trials)
+
     parts = split(
         chosen.model_at(chosen.start) if gains else model,
         trials,
-        simulator=lambda: simulator_of(options.engine, None, options.threads, model, trials),
+        simulator=simulator,
         validation=options.validation,
         test=options.test,
         until=options.until,
@@ -101,9 +127,7 @@ def diagnose_recordings(
     settings = DiagnosisSettings(
         search, options.threads, options.engine, tuple(options.exclude), options.budget, notes=notes
     )
-    return diagnose(
-        chosen, parts, settings=settings, nominal=model, designs=lambda: sweeps(model), progress=progress, asked=asked
-    )
+    return chosen, parts, settings
 
 
 def sweeps(model: Model) -> list[Design]:
