@@ -98,6 +98,13 @@ def test_what_is_not_needed_beside_an_imitator_goes(monkeypatch: pytest.MonkeyPa
     assert with_imitators(OnPaper(known), ended(known, OFF, DEAD)).best.labels == {OFF, DEAD}
 
 
+def test_what_is_fitted_only_to_be_listed_is_not_tried_on_held_out_trials(monkeypatch: pytest.MonkeyPatch) -> None:
+    known = Known({(): 5000.0, (RUB,): 1000.0, (DEAD,): 1005.0})
+    monkeypatch.setattr(imitators, "imitations", lambda search, state, k: [known(DEAD)])
+    tried = with_imitators(OnPaper(known, MANY), ended(known, RUB)).tried
+    assert tried.imitations == (known(DEAD),) and known(DEAD) not in tried.fitted
+
+
 @pytest.mark.slow
 def test_a_law_is_fitted_in_the_place_of_one_that_stands_for_it() -> None:
     real = replace(NOMINAL, effects=(FrictionWarmup("hinge", 0.1, 2.0),))

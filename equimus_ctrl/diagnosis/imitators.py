@@ -70,8 +70,11 @@ def _better(search: HypothesisMoves, state: SearchState) -> tuple[Fitted | None,
         fits = imitations(search, state, k)
         two, tried = _two_in_place(search, replace(state, tried=tried.having(*fits)), k, fits)
         found += [*fits, *two]
-    better = [fit for fit in found if outdoes(search, fit, best)]
-    return min((fit for fit in better if not search.aliased(fit)), key=search.score, default=None), tried
+    better = (fit for fit in found if outdoes(search, fit, best) and not search.aliased(fit))
+    top = min(better, key=search.score, default=None)
+    before = state.tried.fitted
+    listed = (*tried.imitations, *(fit for fit in tried.fitted[len(before) :] if fit is not top))
+    return top, replace(tried, fitted=before if top is None else (*before, top), imitations=listed)
 
 
 def _two_in_place(
