@@ -17,6 +17,7 @@ from equimus_ctrl.diagnosis.policy import SearchSettings, Thresholds
 from equimus_ctrl.diagnosis.search import Search
 from equimus_ctrl.diagnosis.search_state import SearchHistory, SearchState
 from equimus_ctrl.effects import REGISTRY
+from equimus_ctrl.errors import SimulationDiverged
 
 VALUES: dict[str, dict[str, float]] = {
     "coulomb_friction": {"friction": 0.01},
@@ -53,6 +54,10 @@ class Known:
         self.fits = {frozenset(labels): fitted(deviance, *labels) for labels, deviance in self.of.items()}
 
 
+def not_simulated(*given: object, **options: object) -> Fitted:
+    raise SimulationDiverged("on paper nothing is simulated")
+
+
 class OnPaper(Search):
     """A search whose fits are looked up."""
 
@@ -64,6 +69,7 @@ class OnPaper(Search):
         data: Any = SimpleNamespace(
             n=1000, free=free, thresholds=Thresholds(), strong=lambda f: False, far_above_noise=lambda f: False, converge=lambda f: f,
             base=lambda: known(), aliased=lambda f, k: f.hypothesis[k].candidate.label in known.aliased, may_be_nothing=lambda f, k: False,
+            theta_of=lambda theta, hypothesis: theta, coarse_fit=not_simulated, dimensions=lambda f, k, most: most,
         )  # fmt: skip
         super().__init__(data, list(POOL.values()), settings or SearchSettings())
         object.__setattr__(self, "known", known)

@@ -57,6 +57,18 @@ def test_what_fits_better_is_not_listed_as_if_it_fitted_as_well(stick: float, be
     assert [other.better for other in others] == ([] if better is None else [better])
 
 
+@pytest.mark.parametrize(("stick", "better"), [(990.0, None), (985.0, 0.0), (960.0, 16.2)])
+def test_a_law_of_more_dimensions_is_listed_where_chance_would_not_gain_as_much(
+    stick: float, better: float | None
+) -> None:
+    """Two more dimensions gain 13.8 by chance once in a thousand, and cost as much by Schwarz."""
+    known = Known({(): 5000.0, (RUB,): 1000.0, (STICK,): stick})
+    search = OnPaper(known)
+    search.data.dimensions = lambda fitted, k, most: 3  # type: ignore[misc, method-assign]
+    (others,) = equivalents(search, ended(known, RUB), False, lambda fitted: fitted)
+    assert [other.better for other in others] == ([] if better is None else [pytest.approx(better, abs=0.1)])
+
+
 @pytest.mark.parametrize("reason", ["uninformative", "gain"])
 def test_a_richer_law_of_which_held_out_trials_say_nothing_is_listed(
     reason: confirmation.Reason, monkeypatch: pytest.MonkeyPatch

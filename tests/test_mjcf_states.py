@@ -23,7 +23,7 @@ from equimus_ctrl.diagnosis.holdout import split
 from equimus_ctrl.diagnosis.hypothesis import Candidate, Part, default_free_parameters
 from equimus_ctrl.diagnosis.place_excitation import excitation_of
 from equimus_ctrl.diagnosis.torque_screening import torque_domain
-from equimus_ctrl.diagnosis.torque_start import laws_asked_for, worth_compiling, worth_simulating
+from equimus_ctrl.diagnosis.torque_start import laws_asked_for, worth_simulating
 from equimus_ctrl.effects import (
     CoulombFriction,
     DahlFriction,
@@ -250,16 +250,6 @@ def test_a_search_begins_with_it_where_measured_torques_ask_for_it(
     assert part.values[size] == pytest.approx(numbers[size], rel=0.3)
     label = part.candidate.label
     assert label in {c.label for c in worth_simulating(data, domain, data.nominal_fit(), pool)}
-
-
-def test_where_other_laws_explain_as_much_none_is_compiled() -> None:
-    data = data_of(recorded(Model(ROBOT, (CoulombFriction("hinge", 0.1),)), seed=1, seconds=8.0, dt=5e-4))
-    pool = candidates(Model(ROBOT), data.segments)
-    domain = torque_domain(data, pool)
-    assert domain is not None
-    kept = worth_compiling(data, domain, data.nominal_fit(), pool)
-    dropped = {c.effect for c in pool} - {c.effect for c in kept}
-    assert dropped == {FrictionDrift, FrictionWarmup, DahlFriction} and len(kept) > 20
 
 
 def test_damping_over_time_that_is_left_restates_a_drift() -> None:

@@ -155,7 +155,7 @@ def _about_as_good(
         new = [part for part in alternative.hypothesis if _kind(part) not in others]
         if len(new) == 1 and within(search.score(alternative) - score):
             good[_kind(new[0])] = new[0]
-    for fits in (state.tried.fitted, search.fits_with_other_engine):
+    for fits in ((*state.tried.fitted, *state.tried.imitations), search.fits_with_other_engine):
         for beside_same in _best_beside_same(search, fits).values():
             for kind, fit in beside_same.items():
                 if (

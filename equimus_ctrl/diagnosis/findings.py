@@ -8,7 +8,7 @@ from dataclasses import replace
 from functools import partial
 
 import numpy as np
-from scipy.special import chdtrc
+from scipy.special import chdtrc, chdtri
 
 from equimus_ctrl.diagnosis.alternatives import in_place, replacement
 from equimus_ctrl.diagnosis.confirmation import HoldoutResiduals
@@ -229,12 +229,13 @@ def estimates_of(data: Data, best: Fitted, k: int) -> dict[str, Estimate]:
 def _equivalent(
     search: Search, end: SearchState, k: int, unexplained: bool, finely: Finely
 ) -> tuple[tuple[Equivalent, ...], SearchHistory]:
-    """Alternatives that fit as well or better; none with more parameters, which reproduces anything simpler.
+    """Alternatives that fit as well or better.
 
-    One of which held-out trials say nothing may have more, see ``SearchState.undecided``. What a parameter does that
-    others do as well makes a law no richer, see ``Data.dimensions``: a spring to a point of the room has four, of which
-    one hinge shows one. Close ones are compared with short steps: where commands jump, discretisation errors can
-    separate equivalent effects.
+    What a parameter does that others do as well makes a law no richer, see ``Data.dimensions``: a spring to a point of
+    the room has four, of which one hinge shows one. A law with more dimensions reproduces anything simpler. It is
+    listed where it fits better than chance would let it, and Schwarz's cost of its dimensions does not decide; or where
+    held-out trials say nothing of it, see ``SearchState.undecided``. Close ones are compared with short steps: where
+    commands jump, discretisation errors can separate equivalent effects.
     """
     thresholds, gain = search.data.thresholds, end.without[k].deviance - end.best.deviance
 
@@ -251,10 +252,17 @@ def _equivalent(
     def within(more: float, most: Callable[[Thresholds], float]) -> bool:
         return thresholds.decides(lambda t: more < most(t))
 
-    def richer(alternative: Fitted, part: Part) -> bool:
+    def more_dimensions(alternative: Fitted, part: Part) -> int:
         own = part.candidate.n_parameters
         room = end.best.n_parameters - (alternative.n_parameters - own)
-        return own > room and search.data.dimensions(alternative, alternative.hypothesis.index(part), room) > room
+        seen = partial(search.data.dimensions, alternative, alternative.hypothesis.index(part))
+        if own <= room:
+            return 0
+        return max(seen(own if beyond_chance(alternative, 1) else room) - room, 0)
+
+    def beyond_chance(alternative: Fitted, dimensions: int) -> bool:
+        better = end.best.deviance - alternative.deviance
+        return thresholds.decides(lambda t: better > float(chdtri(dimensions, t.significance)))
 
     label = end.best.hypothesis[k].candidate.label
     others, tried = _undecided(search, end, k)
@@ -266,9 +274,12 @@ def _equivalent(
         other = part.candidate.label
         if named_part(part) == named_part(end.best.hypothesis[k]):  # in other groups of trials
             continue
-        if other == label or other in others or richer(alternative, part):
+        if other == label or other in others:
             continue
-        more = worse(finely(alternative), finely(end.best))
+        richer = more_dimensions(alternative, part)
+        if richer and not beyond_chance(alternative, richer):
+            continue
+        more = worse(finely(alternative), finely(end.best)) + richer * math.log(search.data.n)
         if within(more, margin):
             # Whether it is better is decided; by how much is told by the thresholds as they are.
             better = 0.0 if within(-more, margin) else -more - margin(thresholds)

@@ -10,6 +10,7 @@ from functools import cached_property
 import numpy as np
 
 from equimus_ctrl import computer
+from equimus_ctrl.diagnosis.compensation import compensated
 from equimus_ctrl.diagnosis.fitting import CONVERGED_GAIN, Fitted
 from equimus_ctrl.diagnosis.group_splits import own_in_each_group, splits_by_group
 from equimus_ctrl.diagnosis.hypothesis import Candidate, Hypothesis, Part, model_of
@@ -506,11 +507,13 @@ class HypothesisMoves(Scoring):
             return known, tried
         noise, steps = white_noise(fitted.fit.residuals), self.settings.long_steps
         try:
-            begin: Begin = (data.theta_of(fitted.fit.theta, hypothesis), fitted.fit.starts)
-            after = data.coarse_fit(hypothesis, [begin], noise, steps, settled=fitted.labels)
+            begins: list[Begin] = [(data.theta_of(fitted.fit.theta, hypothesis), fitted.fit.starts)]
+            if self.settings.many_minima and (made_up := compensated(data, fitted, hypothesis)) is not None:
+                begins.append((made_up, fitted.fit.starts))
+            after = data.coarse_fit(hypothesis, begins, noise, steps, settled=fitted.labels)
         except SimulationDiverged:
-            begin = (data.theta_of(data.free.start, hypothesis), [s.start for s in data.segments])
-            after = data.coarse_fit(hypothesis, [begin], noise, steps, settled=fitted.labels)
+            begins = [(data.theta_of(data.free.start, hypothesis), [s.start for s in data.segments])]
+            after = data.coarse_fit(hypothesis, begins, noise, steps, settled=fitted.labels)
         after = data.converge(after, settled=self._settled(hypothesis, fitted.labels))
         return after, replace(tried.having(after), refits={**tried.refits, key: after})
 

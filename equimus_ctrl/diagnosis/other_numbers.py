@@ -229,6 +229,12 @@ _ROWS: Mapping[str, tuple[Row, ...]] = {
         ("LEAST_WIDTHS", 10, "looked at", "convention", "and those shorter than so many widths"),
         ("WEAK", 1e-10, "arithmetic", "theory", "directions that count as none"),
     ),
+    "diagnosis.imitators": (
+        ("IMITATES", 0.5, "looked at", "convention", "share of what a part changes that another law imitates"),
+        ("MOST_IMITATORS", 5, "looked at", "convention", "so many are fitted in its place"),
+        ("ROUNDS", 4, "looked at", "convention", "how often such a fit goes on"),
+    ),
+    "diagnosis.compensation": (("WEAK", 1e-6, "looked at", "convention", "directions that make up for nothing"),),
     "diagnosis.torque_columns": (("STEP", 1e-3, "arithmetic", "theory", "step of differences"),),
     "diagnosis.torque_guesses": (
         ("FAR", 3.0, "looked at", "convention", "noise above which laws are looked for in the torque domain"),

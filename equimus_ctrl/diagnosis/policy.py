@@ -33,10 +33,11 @@ class Thresholds:
         1e-3,
         "",
         "probability of accepting any effect where none is missing, over all candidates (false alarm): by −2Δln L, by "
-        "how its gain stands out from the scatter of blocks, and of what a search in the torque domain begins with",
+        "how its gain stands out from the scatter of blocks, and of what a search in the torque domain begins with; "
+        "and that a law of more dimensions gains by chance what one gains that is listed",
         "theory",
         "likelihood-ratio test, Wilks (1938), with Bonferroni's correction for the number of candidates",
-        where="block_scatter scoring simulated torque_start",
+        where="block_scatter findings scoring simulated torque_start",
     )
     simulation_error: float = decided_by(
         1.5e-3,
@@ -81,10 +82,11 @@ class Thresholds:
         "hypotheses whose scores differ by less fit as well (BIC, whatever the number of parameters): alternatives are "
         "listed, and one at fewer places, or one in the place of several or of one that is not confirmed, is taken. "
         "Predictions that differ by less in χ² are alike: a second effect is tried beside one of the two, and a "
-        "direction of a law's parameters along which no more changes does not count",
+        "direction of a law's parameters along which no more changes does not count; so a law of more parameters has "
+        "to be better by as much to take another's place by its dimensions",
         "convention",
         "evidence above 10 is very strong, a Bayes factor of 150: Kass & Raftery (1995), 3.2",
-        where="alternatives fitting scoring search",
+        where="alternatives fitting imitators scoring search",
     )
     indistinguishable_share: float = decided_by(
         0.05,
@@ -333,10 +335,11 @@ class Thresholds:
     runner_up: float = decided_by(
         0.7,
         "",
-        "a first effect with this share of the best one's gain is given a second effect as well",
+        "a first effect with this share of the best one's gain is given a second effect as well; where minima are "
+        "many, at the end too, where the best one has more parameters",
         "calibration",
         PROOFS,
-        where="search",
+        where="imitators search",
     )
     step_matters: float = decided_by(
         1e-3,

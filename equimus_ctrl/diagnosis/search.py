@@ -14,6 +14,7 @@ The moves:
     narrow     a law alike at several places → at one place less           ``narrowed``, ``exchanged_beside_fewer``
     prune      a law with its own parameters at each place → where needed  ``pruned``
     unite      several laws → one that explains as much                    ``with_fewer_laws``, then pruned, simplified
+    imitate    other laws in a part's place, from where they imitate it    ``with_imitators``, where minima are many
     simplify   Stribeck → Coulomb friction, and such, where that will do   ``simplified``
 
 A search of an MJCF robot begins with the laws that its measured torques ask for (``begun_in_torques``), each enriched
@@ -34,7 +35,8 @@ first-order gains predict little. What differs:
     rounds outdone by a residual force  none                          one (``PATIENCE``)
     the model without effects           fitted once                   refitted from the first effect's fit
     after each addition                 exchanged, from two parts on  the same, then pruned and simplified
-    at the end                          contested, narrowed, united   united
+    where a part is left out            from the others' values           also from what makes up for it to first order
+    at the end                          contested, narrowed, united   united, imitated
     what else fits in a part's place    fitted beside the other parts also what did beside any others (``in_place``)
     what held-out trials do not confirm is dropped; the only part is  exchanged for another hypothesis fitted, if one
                                         exchanged for one that fits   is confirmed; else the same
@@ -55,11 +57,12 @@ from equimus_ctrl.diagnosis.fewer_laws import with_fewer_laws
 from equimus_ctrl.diagnosis.fitting import Fitted, chi_squared
 from equimus_ctrl.diagnosis.hypothesis import Candidate
 from equimus_ctrl.diagnosis.hypothesis_moves import HypothesisMoves
+from equimus_ctrl.diagnosis.imitators import with_imitators
 from equimus_ctrl.diagnosis.residual_force import force_candidates, linearise_fit
 from equimus_ctrl.diagnosis.richer_laws import richer
 from equimus_ctrl.diagnosis.screening import screen
 from equimus_ctrl.diagnosis.search_state import SearchHistory, SearchState, StopReason
-from equimus_ctrl.diagnosis.torque_start import laws_asked_for, worth_compiling, worth_simulating
+from equimus_ctrl.diagnosis.torque_start import laws_asked_for, worth_simulating
 from equimus_ctrl.errors import SimulationDiverged
 from equimus_ctrl.identification.noise import white_noise
 
@@ -132,7 +135,7 @@ class Search(HypothesisMoves):
             start = data.coarse_fit(hypothesis, begins, noise, self.settings.long_steps)
             if start.deviance > base.deviance:  # far from any minimum: it holds the model without effects too
                 return state
-            start = data.converge(self._enriched(start, worth_compiling(data, domain, base, self.pool)))
+            start = data.converge(self._enriched(start, self.pool))
         except SimulationDiverged:  # so it cannot be what happened
             return state
         return self.beginning(base, start) if self.accepts(base, start) else state
@@ -179,9 +182,9 @@ class Search(HypothesisMoves):
         """The end: each part the best in its place, at the fewest places, and as few of them as explain as much."""
         state = narrowed(self, exchanged_beside_fewer(self, contested(self, state)))
         united = with_fewer_laws(self, state)
-        if united.best is state.best:
-            return united
-        return narrowed(self, simplified(self, pruned(self, united)))
+        if united.best is not state.best:
+            united = narrowed(self, simplified(self, pruned(self, united)))
+        return with_imitators(self, united)
 
     def _round(self, forward: _Forward) -> _Forward:
         """One more part, or the reason to stop."""

@@ -70,6 +70,8 @@ class SearchHistory:
         extended: by a hypothesis' labels, and that of a candidate to replace or "".
         refits: by the fit that each began at, and the labels and initial values of its parts.
         united: by a hypothesis, and what was rejected then, those fitted with one law in the place of several.
+        imitations: fits in the place of a part that it outdoes: they may be listed beside it. Where held-out trials
+            reject it they are not tried on these, for each try may be confirmed by chance.
     """
 
     fitted: tuple[Fitted, ...] = ()
@@ -78,6 +80,7 @@ class SearchHistory:
     extended: Mapping[tuple[frozenset[str], str], Extended] = field(default_factory=dict)
     refits: Mapping[tuple[Fitted, tuple[Hashable, ...]], Fitted] = field(default_factory=dict)
     united: Mapping[tuple[Fitted, frozenset[Law]], tuple[Fitted, ...]] = field(default_factory=dict)
+    imitations: tuple[Fitted, ...] = ()
 
     def allows(self, candidates: Iterable[Candidate]) -> bool:
         """Whether none of some candidates says a law that was rejected."""

@@ -171,8 +171,8 @@ def _extended(robot: Robot, chosen: Sequence[Columns], own: Columns) -> list[Col
 def worth_simulating(data: Data, domain: TorqueDomain, fitted: Fitted, pool: Sequence[Candidate]) -> list[Candidate]:
     """Candidates without those that are far behind the best one in the torque domain, see ``BEHIND``.
 
-    All where none of them explains anything there. Those that cannot be seen there stay. Laws that equations are
-    compiled anew for have to explain more, see ``worth_compiling``. Guesses are joined by what least squares give.
+    All where none of them explains anything there. Those that cannot be seen there stay. Guesses are joined by what
+    least squares give.
 
     Args:
         data: what was measured.
@@ -181,8 +181,7 @@ def worth_simulating(data: Data, domain: TorqueDomain, fitted: Fitted, pool: Seq
         pool: the candidates.
     """
     screen = torque_screen(data, domain, fitted, pool)
-    pool = _worth_compiling(data, screen, fitted, pool)
-    fits = {candidate: fit for candidate, fit in screen.alone().items() if candidate in pool}
+    fits = screen.alone()
     gains = sorted((fit.gain for fit in fits.values()), reverse=True)
     prune = len(gains) > AT_LEAST and _more_than_chance(data, gains[0], pool)
     least = min(BEHIND * gains[0], gains[AT_LEAST - 1]) if prune else -math.inf
@@ -193,40 +192,6 @@ def worth_simulating(data: Data, domain: TorqueDomain, fitted: Fitted, pool: Seq
         elif fits[candidate].gain >= least:
             kept.append(_with_guess(data.free.model, candidate, fits[candidate].values))
     return kept
-
-
-def worth_compiling(data: Data, domain: TorqueDomain, fitted: Fitted, pool: Sequence[Candidate]) -> list[Candidate]:
-    """Candidates without those with ``own_equations`` that hardly explain more than the others.
-
-    Compiling equations takes as long as a short search. In the torque domain such a law has to lower by ``START_SHARE``
-    what the best law without equations of its own leaves. Where it excludes a part of the hypothesis it is tried in
-    that one's place, not beside it.
-
-    Args:
-        data: what was measured.
-        domain: the same in the torque domain.
-        fitted: the hypothesis that they are to be added to.
-        pool: the candidates.
-    """
-    if not any(candidate.effect.own_equations for candidate in pool):
-        return list(pool)
-    return _worth_compiling(data, torque_screen(data, domain, fitted, pool), fitted, pool)
-
-
-def _worth_compiling(data: Data, screen: TorqueScreen, fitted: Fitted, pool: Sequence[Candidate]) -> list[Candidate]:
-    fits = screen.alone()
-    most = max((fit.gain for candidate, fit in fits.items() if not candidate.effect.own_equations), default=0.0)
-    least = most + START_SHARE * (screen.missing - most)
-
-    def worth(candidate: Candidate) -> bool:
-        if candidate not in fits or not candidate.effect.own_equations:
-            return True
-        part = Part(candidate, fits[candidate].values)
-        if beside(screen.robot, part, fitted.hypothesis) != fitted.hypothesis:
-            return False
-        return fits[candidate].gain >= least and _more_than_chance(data, fits[candidate].gain, pool)
-
-    return [candidate for candidate in pool if worth(candidate)]
 
 
 def _with_guess(model: Model, candidate: Candidate, values: Mapping[str, float]) -> Candidate:
