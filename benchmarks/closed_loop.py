@@ -22,6 +22,7 @@ import mujoco
 import numpy as np
 
 import equimus_ctrl as eq
+from equimus_ctrl.controllers.pid_kernel import TRACKING
 from equimus_ctrl.engines.lane_functions import LANES
 from equimus_ctrl.models.mjcf import close_elements, compile_model
 from equimus_ctrl.tuning.ensemble import make_ensemble
@@ -58,6 +59,7 @@ def plain_loop(problem: Problem, settings: eq.PidSettings) -> np.ndarray:
     kinematics = eq.Kinematics(problem.model.morphology)
     area = np.array([a.area for a in problem.model.morphology.actuators])
     kp, ki, kd = (np.array([getattr(g, key) for g in settings.gains.values()]) for key in ("kp", "ki", "kd"))
+    tracking = settings.gain_matrix(tuple(settings.gains))[TRACKING]
     integral = derivative = previous = None
     pressure = task.command_before.copy()
     delay, lag = leg.valve[:, 0], leg.valve[:, 1]
@@ -79,7 +81,7 @@ def plain_loop(problem: Problem, settings: eq.PidSettings) -> np.ndarray:
         previous = error
         asked = kinematics.static_pressure(r) + (kp * error + integral + kd * derivative) / area
         command = np.clip(asked, 0, 50e3)
-        integral = integral + ki * error / RATE + (command - asked) * area / RATE / settings.tracking_time
+        integral = integral + ki * error / RATE + (command - asked) * area / RATE / tracking
         history.append(command)
         for step in range(STEPS):
             for i in range(2):

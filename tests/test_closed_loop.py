@@ -341,7 +341,7 @@ def test_a_sensor_s_error_is_no_fault_of_the_gains() -> None:
 
 @pytest.mark.parametrize("inverse", [False, True])
 @pytest.mark.parametrize("settings", [PID, BRISK], ids=["pid", "brisk"])
-def test_what_the_integral_compares_with_is_late_in_both(settings: eq.PidSettings, inverse: bool) -> None:
+def test_what_feedback_compares_with_is_late_in_both(settings: eq.PidSettings, inverse: bool) -> None:
     late = replace(settings, lateness=0.1, inverse=inverse)
     q = agree((), late, tolerance=4 * SMOOTH)
     assert np.abs(q - agree((), replace(late, lateness=0.0), tolerance=4 * SMOOTH)).max() > 1e-3

@@ -192,10 +192,10 @@ def test_the_course_is_the_same_taken_at_once_or_step_by_step() -> None:
     inverse = Inverse(eq.Model(LEG, EVERYWHERE), DT, 0.3)
     first = inverse.start(0.0, np.array([1.4, 0.6]))
     times = np.arange(90) * DT
-    shown, command, last = inverse.follow(SWAY, times, first)
+    shown, command, last = inverse.follow(SWAY, times, times, first)
     course = first
     for k, time in enumerate(times):
-        seen, fed, course = inverse.follow(SWAY, np.array([time]), course)
+        seen, fed, course = inverse.follow(SWAY, np.array([time]), np.array([time]), course)
         np.testing.assert_allclose(seen[0], shown[k], rtol=0, atol=1e-12)
         np.testing.assert_allclose(fed[0], command[k], rtol=1e-9)
     np.testing.assert_allclose(course.states, last.states, rtol=1e-9)
@@ -213,7 +213,8 @@ def test_what_sensors_show_is_what_they_make_of_the_reference() -> None:
     measured = np.array([1.5, 0.4])
     course = inverse.start(0.0, measured)
     np.testing.assert_allclose(course.pose, [1.4, 0.5])
-    shown, _, _ = inverse.follow(SWAY, np.array([0.0, 0.2, 2.0]), course)
+    instants = np.array([0.0, 0.2, 2.0])
+    shown, _, _ = inverse.follow(SWAY, instants, instants, course)
     np.testing.assert_allclose(shown[0], measured)
     weight = blend(0.16, 0.3)
     np.testing.assert_allclose(shown[1, 1], 0.8 * ((1 - weight) * sway(0.16)[1] + weight * 0.5))
@@ -243,7 +244,7 @@ def test_a_reference_that_jumps_is_smoothed() -> None:
     jump = eq.FunctionReference(lambda time: before if time < 1.0 else after)
     inverse = Inverse(eq.Model(LEG), DT, 0.0)
     times = np.arange(240) * DT
-    _, command, _ = inverse.follow(jump, times, inverse.start(0.0, before))
+    _, command, _ = inverse.follow(jump, times, times, inverse.start(0.0, before))
     holds = [inverse.hold(inverse.start(0.0, pose)) for pose in (before, after)]
     far = np.abs(times + DT / 2 - 1.0) > SMOOTHING + 1e-9
     np.testing.assert_allclose(command[far], np.where(times[far, None] < 1.0, *holds), rtol=1e-9)

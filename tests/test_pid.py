@@ -478,3 +478,15 @@ def test_the_gain_matrix_has_the_kernels_rows() -> None:
     expected = [[1, 4], [2, 5], [3, 6], [0.1] * 2, [0.2] * 2, [0.3] * 2, [0.4] * 2]
     np.testing.assert_array_equal(settings.gain_matrix(("maa", "baa")), expected)
     np.testing.assert_array_equal(settings.gain_matrix(("baa", "maa"))[:, ::-1], expected)
+
+
+def test_a_channel_may_have_a_tracking_time_of_its_own() -> None:
+    plain = eq.PidSettings(gains_for("length", (1, 2, 3), (4, 5, 6)), tracking_time=0.2)
+    own = replace(plain, gains={**plain.gains, "baa": replace(plain.gains["baa"], tracking_time=0.05)})
+    found = eq.PidSettings.from_dict(own.to_dict())
+    assert found == own
+    np.testing.assert_array_equal(found.gain_matrix(("maa", "baa"))[pid_kernel.TRACKING], [0.2, 0.05])
+    with pytest.raises(
+        eq.ConfigError, match=r"gains\.baa: tracking_time is -1, expected a finite number of at least 0"
+    ):
+        eq.PidSettings.from_dict({"gains": {"baa": {"kp": 1.0, "tracking_time": -1.0}}})

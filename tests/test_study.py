@@ -85,7 +85,10 @@ def test_a_vector_holds_the_gains_channel_by_channel() -> None:
     assert labels == ["maa.kp", "maa.ki", "maa.kd", "baa.kp", "baa.ki", "baa.kd", "derivative_time"]
     assert [r.start for _, r in study.ranges(("maa", "baa"))] == [150, 200, 5, 150, 200, 5, 0.02]
     settings = study.settings(np.arange(1.0, 8.0), ("maa", "baa"))
-    assert settings.gains == {"maa": eq.PidGains(1.0, 2.0, 3.0), "baa": eq.PidGains(4.0, 5.0, 6.0)}
+    assert settings.gains == {
+        "maa": eq.PidGains(1.0, 2.0, 3.0, 1.22474),  # √(T_i T_d) = √(k_d/k_i)
+        "baa": eq.PidGains(4.0, 5.0, 6.0, 1.09545),
+    }
     assert settings.derivative_time == 7.0 and settings.space == "length" and not settings.inverse
     informed = study_from_dict(changed("inverse", True)).settings(np.arange(1.0, 8.0), ("maa", "baa"))
     assert informed.inverse

@@ -103,7 +103,7 @@ def step(observation: Observation, reference: Reference, state: ExactPidState) -
     """The next command within the plant's limits, and the next state."""
     s, gains, dt, inverse, dynamics = state.settings, state.gains, state.dt, state.inverse, state.dynamics
     now, measured = observation.time, max(observation.stamp, state.begun)
-    shown, planned, followed = inverse.follow(reference, np.array([now]), state.followed, np.array([measured]))
+    shown, planned, followed = inverse.follow(reference, np.array([now]), np.array([measured]), state.followed)
     q, v, _ = (x[:, 0] for x in inverse.motion(reference, np.array([now + dt / 2]), state.followed))
     # A step is differentiated to a motion there and back, of which half may be possible.
     possible = inverse.possible(reference, now, state.followed, state.possible, now=True)

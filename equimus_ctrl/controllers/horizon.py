@@ -21,7 +21,7 @@ from equimus_ctrl.controllers.allowances import Allowances, allowances
 from equimus_ctrl.controllers.inverse import Inverse, InverseState, Target
 from equimus_ctrl.controllers.lqr import CALM, LqrSettings, Schedule, waiting
 from equimus_ctrl.controllers.preview import Ahead, Preview, Sight
-from equimus_ctrl.controllers.valve_estimation import ValveEstimation, bank_of
+from equimus_ctrl.controllers.valve_estimation import ObservedState, bank_of
 from equimus_ctrl.engines.native import native
 from equimus_ctrl.errors import ConfigError, ControllerError
 from equimus_ctrl.estimation.observer import Estimate, Observer, ObserverSettings, ObserverState, require_model
@@ -36,9 +36,6 @@ from equimus_ctrl.types import Array, Observation, PlantSpec, Reference, frozen_
 Status = Literal["converged", "iterated", "sampled", "shifted", "lqr", "hold"]
 FALLBACKS = ("shifted", "lqr", "hold")
 """Statuses of commands that no plan of this instant stands behind."""
-
-SLOWER = 1.2
-"""By so much may an iteration take longer than at the instant before and still count as typical."""
 
 
 @dataclass(frozen=True)
@@ -125,11 +122,10 @@ class HorizonSettings:
 
 
 @dataclass(frozen=True, eq=False)
-class HorizonState:
+class HorizonState(ObservedState):
     """What every predictive controller carries from step to step.
 
     Attributes:
-        observer: what is known of the robot.
         followed: where the reference was begun.
         sight: what is known of the reference ahead.
         status: of the latest command: ``"converged"``, ``"iterated"`` (time or iterations ended it first, and always
@@ -138,25 +134,16 @@ class HorizonState:
         reason: why it fell back; empty where it did not.
         under_way: for each actuator commands beyond what the reference asked for, the next to arrive first [Pa].
         expected: what an iteration is known to take, where there is a deadline [s].
-        note: where allowances come from, or what was found of the valves; empty where settings say all.
         plan: the latest one, or None.
-        tools: made for the plant, and its valves, once.
-        estimation: of valves; None where there is none.
-        watched: what its observer remembers.
     """
 
-    observer: ObserverState
     followed: InverseState
     sight: Sight | None
     status: Status
     reason: str
     under_way: tuple[Array, ...]
     expected: float
-    note: str
     plan: Any
-    tools: Any
-    estimation: ValveEstimation[Any] | None
-    watched: ObserverState | None
 
     @property
     def fell_back(self) -> bool:
@@ -287,29 +274,25 @@ class Horizon:
     def taken_over(self, state: HorizonState) -> dict[str, Any]:
         """The fields of a ``HorizonState`` that another model's valves change."""
         return {
-            "followed": self.inverse.taken_over(state.followed), "sight": None,
+            "followed": self.inverse.taken_over(state.followed), "sight": None, "plan": None,
             "under_way": self._nothing_under_way(), "expected": 0.0,
         }  # fmt: skip
 
     def _nothing_under_way(self) -> tuple[Array, ...]:
         return tuple(np.zeros(count) for count in self._waiting)
 
-    def look(
-        self, observation: Observation, reference: Reference, state: HorizonState, known: ObserverState | None = None
-    ) -> Outlook:
+    def look(self, observation: Observation, reference: Reference, state: HorizonState) -> Outlook:
         """What a plan is to be made from at a control instant.
 
         Args:
             observation: of it.
             reference: of the true angles.
-            state: of the controller.
-            known: what its observer remembers by then; by default what follows from the observation.
+            state: of the controller, which knows of the observation.
 
         Raises:
             ObserverFault: where a joint was not measured for longer than the observer has patience.
         """
-        p = self.prediction
-        observer = self.observer.update(observation, state.observer) if known is None else known
+        p, observer = self.prediction, state.observer
         self.observer.require_sound(observer)
         arrival = observation.time + self._delay
         ahead = self.observer.foresee(observer, arrival)
@@ -466,45 +449,3 @@ class Horizon:
             scale = np.concatenate([np.broadcast_to(x, nj) for x in (self.weights.angle, self.weights.rate)])
             last[np.diag_indices(2 * nj)] = math.sqrt(self.durations[-1]) / scale
         return last
-
-
-class Pace:
-    """Whether another iteration is likely to end before the deadline.
-
-    Args:
-        now: a clock [s].
-        deadline: how long after that all is to be done [s]; 0 for no deadline, then no clock is read.
-        expected: what an iteration is known to take [s]; 0 where nothing is known.
-    """
-
-    def __init__(self, now: Callable[[], float], deadline: float, expected: float) -> None:
-        self._now, self._deadline, self._expected = now, deadline, expected
-        self._begun = now() if deadline else 0.0
-        self._iterating: float | None = None
-        self._longest = 0.0
-
-    def enough(self) -> bool:
-        """Whether no further iteration is to begin."""
-        if not self._deadline:
-            return False
-        now = self._ended()
-        over = now + max(self._longest, self._expected) > self._begun + self._deadline
-        self._iterating = None if over else now
-        return over
-
-    def end(self) -> float:
-        """How long after the step began all iterations have ended [s]."""
-        return self._ended() - self._begun if self._deadline else 0.0
-
-    @property
-    def expected(self) -> float:
-        """What an iteration is to be known to take from now on [s]: one that was held up is not taken as the rule."""
-        if self._longest == 0:
-            return self._expected
-        return min(self._longest, SLOWER * self._expected) if self._expected else self._longest
-
-    def _ended(self) -> float:
-        now = self._now()
-        if self._iterating is not None:
-            self._longest, self._iterating = max(self._longest, now - self._iterating), None
-        return now

@@ -125,22 +125,23 @@ class Inverse:
         return np.asarray(self.arriving(command[None])[0] - self._holding(state))
 
     def follow(
-        self, reference: Reference, times: Array, state: InverseState, stamps: Array | None = None
+        self, reference: Reference, times: Array, stamps: Array, state: InverseState, start_time: float | None = None
     ) -> tuple[Array, Array, InverseState]:
         """What to command, and what the sensors show of a robot that follows.
 
         Args:
             reference: of the true angles; evaluated ahead of time by the valves' delay.
             times: (n,) successive control instants [s].
+            stamps: (n,) when what is known at each of them was measured [s].
             state: how far it has been followed.
-            stamps: (n,) when what is known at each of them was measured [s]; then, by default.
+            start_time: of what the sensors show, in place of the inverse's own [s].
 
         Returns:
             Angles (n, nj) that the sensors show [rad], commands (n, na) within the useful range [Pa], and the state
             after the last of them.
         """
         feed, states = self._feed(reference, times, state)
-        measured, held = self.shown(reference, times if stamps is None else stamps, state)
+        measured, held = self.shown(reference, stamps, state, start_time)
         return measured, self.commands(feed), replace(state, states=states, held=held)
 
     def target(self, reference: Reference, time: float, state: InverseState) -> tuple[Target, InverseState]:

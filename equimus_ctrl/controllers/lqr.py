@@ -16,17 +16,17 @@ import math
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from equimus_ctrl.controllers.allowances import Allowances, allowances, settable
 from equimus_ctrl.controllers.inverse import Inverse, InverseState, Target
-from equimus_ctrl.controllers.valve_estimation import ValveEstimation, bank_of
+from equimus_ctrl.controllers.valve_estimation import ObservedState, ValveEstimation, bank_of, found_out
 from equimus_ctrl.effects.command import DELAY
 from equimus_ctrl.errors import ConfigError, ControllerError
-from equimus_ctrl.estimation.observer import Estimate, Observer, ObserverSettings, ObserverState, require_model
+from equimus_ctrl.estimation.observer import Estimate, Observer, ObserverSettings, require_model
 from equimus_ctrl.estimation.valve_bank import ValveBank
 from equimus_ctrl.models.linear import About, linearise, matrices_about, valve_lag
 from equimus_ctrl.models.model import Model
@@ -292,30 +292,21 @@ def _nearest_corners(sides: Sides) -> Iterator[tuple[tuple[int, ...], float]]:
 
 
 @dataclass(frozen=True, eq=False)
-class LqrState:
+class LqrState(ObservedState):
     """What the regulator carries from step to step.
 
     Attributes:
-        observer: what is known of the robot.
         inverse: how far the reference has been followed.
         integral: (nj,) of the angles' errors [rad·s].
         under_way: for each actuator commands beyond what the reference asked for, the next to arrive first [Pa].
-        tools: made for the plant once.
         possible: of the latest instants, what share of the reference's motion can be done.
-        note: where allowances come from, or what was found of the valves; empty where settings say all.
-        estimation: of valves; None where there is none.
-        watched: what its observer remembers.
     """
 
-    observer: ObserverState
+    tools: LqrTools
     inverse: InverseState
     integral: Array
     under_way: tuple[Array, ...]
-    tools: LqrTools
     possible: tuple[float, ...] = ()
-    note: str = ""
-    estimation: ValveEstimation[LqrTools] | None = None
-    watched: ObserverState | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -330,6 +321,11 @@ class LqrTools:
     def nothing_under_way(self) -> tuple[Array, ...]:
         """For each actuator, see ``LqrState``: what was asked for is what the reference asks for."""
         return tuple(np.zeros(count) for count in waiting(self.observer.model, self.dt))
+
+    def taken_over(self, state: LqrState) -> dict[str, Any]:
+        """The fields of a state that these tools' valves change."""
+        followed = self.inverse.taken_over(state.inverse)
+        return {"inverse": followed, "under_way": self.nothing_under_way(), "possible": ()}
 
 
 class LqrController:
@@ -374,10 +370,8 @@ class LqrController:
         followed, none = tools.inverse.start(observation.time, position), np.zeros(len(position))
         note = both(self._said, allowed.note)
         estimation = None if bank is None else ValveEstimation(spec, tools, made, note)
-        return LqrState(
-            begun, followed, none, tools.nothing_under_way(), tools, note=note,
-            estimation=estimation, watched=None if bank is None else begun,
-        )  # fmt: skip
+        watched = None if bank is None else begun
+        return LqrState(begun, tools, note, estimation, watched, followed, none, tools.nothing_under_way())
 
     def step(self, observation: Observation, reference: Reference, state: LqrState) -> tuple[Array, LqrState]:
         """The next command, within the plant's limits.
@@ -385,7 +379,7 @@ class LqrController:
         Raises:
             ObserverFault: where a joint was not measured for longer than the observer has patience.
         """
-        state = self._looked(observation, state)
+        state = found_out(observation, state)
         t, s, known = state.tools, self.settings, state.observer
         t.observer.require_sound(known)
         ahead = t.observer.foresee(known, observation.time + float(t.observer.delays.min()))
@@ -412,18 +406,3 @@ class LqrController:
         return frozen_array(command), replace(
             state, inverse=followed, integral=integral, under_way=under_way, possible=possible
         )
-
-    def _looked(self, observation: Observation, state: LqrState) -> LqrState:
-        """With what is known of the robot now, and the tools for it."""
-        if state.estimation is None or state.watched is None:
-            return replace(state, observer=state.tools.observer.update(observation, state.observer))
-        estimation = state.estimation
-        found = estimation.look(observation, state.tools, state.observer, state.watched)
-        state = replace(state, observer=found.observer, watched=found.watched)
-        if not found.changed:
-            return state
-        own, note = found.tools, estimation.note(found.watched)
-        return replace(
-            state, tools=own, inverse=own.inverse.taken_over(state.inverse), under_way=own.nothing_under_way(),
-            possible=(), note=note,
-        )  # fmt: skip

@@ -11,14 +11,16 @@ from __future__ import annotations
 import time as clock
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from equimus_ctrl.controllers.allowances import settable
-from equimus_ctrl.controllers.horizon import Horizon, HorizonSettings, HorizonState, Pace
-from equimus_ctrl.controllers.planning import begun, found_out
+from equimus_ctrl.controllers.horizon import Horizon, HorizonSettings, HorizonState
+from equimus_ctrl.controllers.pace import Pace
+from equimus_ctrl.controllers.planning import begun
+from equimus_ctrl.controllers.valve_estimation import found_out
 from equimus_ctrl.errors import ConfigError
 from equimus_ctrl.estimation.observer import Observer, require_model
 from equimus_ctrl.predictive.problem import Answer, Plan, Problem
@@ -113,6 +115,10 @@ class NmpcTools:
         """That of the horizon."""
         return self.horizon.observer
 
+    def taken_over(self, state: NmpcState) -> dict[str, Any]:
+        """See ``controllers.valve_estimation``."""
+        return self.horizon.taken_over(state)
+
 
 class NmpcController:
     """The predictive controller; its state is an ``NmpcState``.
@@ -175,9 +181,9 @@ class NmpcController:
             ObserverFault: where a joint was not measured for longer than the observer has patience.
         """
         pace = Pace(self._now, self.settings.deadline, state.expected)
-        state, known = found_out(observation, state)
+        state = found_out(observation, state)
         s, horizon, problem = self.settings, state.tools.horizon, state.tools.problem
-        view = horizon.look(observation, reference, state, known)
+        view = horizon.look(observation, reference, state)
         shifted = None
         if state.plan is not None and view.arrival < state.plan.time + problem.times[-1]:
             guess = shifted = problem.shifted(state.plan, view.arrival, view.wanted)

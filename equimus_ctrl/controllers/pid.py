@@ -125,7 +125,8 @@ class PidController:
     ) -> tuple[Array, PidState | ExactPidState]:
         """The next command, within the plant's limits.
 
-        What was measured is compared with where the robot was to be then; pressures are fed forward for now.
+        What was measured is compared with where the robot was to be then, ``lateness`` considered; pressures are fed
+        forward for now.
         """
         if isinstance(state, ExactPidState):
             return exact_pid.step(observation, reference, state)
@@ -135,25 +136,22 @@ class PidController:
         now, measured = observation.time, max(observation.stamp, state.begun)
         if state.inverse is not None and following is not None:
             instants = np.array([now]), np.array([measured])
-            before = following
-            shown, planned, following = state.inverse.follow(reference, instants[0], following, instants[1])
+            shown, planned, following = state.inverse.follow(reference, *instants, following, s.late_start)
             r, fed = shown[0], planned[0]
-            expected = state.inverse.shown(reference, instants[1], before, s.late_start)[0][0] if s.lateness else r
         else:
             if np.isnan(offset).any():
                 offset = observation.position - reference.position(measured)
 
-            def pose(time: float, start_time: float = s.start_time) -> Array:
+            def pose(time: float, start_time: float) -> Array:
                 weight = state.law.blend(time - state.begun, start_time)
                 return np.asarray(reference.position(time) + weight * offset)
 
-            r, expected = pose(measured), pose(measured, s.late_start)
-            state.law.static_feed(r if measured == now else pose(now), s.feedforward, state.constants, fed)
+            r = pose(measured, s.late_start)
+            state.law.static_feed(pose(now, s.start_time), s.feedforward, state.constants, fed)
         memory = state.memory.copy()
         command = np.empty(len(spec.actuators))
         state.law.pid_command(
             r,
-            expected,
             np.array(observation.position),
             fed,
             state.gains,

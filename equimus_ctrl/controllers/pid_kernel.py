@@ -6,13 +6,14 @@ pose, y the measured one:
     D ← D + dt/(T_f + dt)·(Δ(c z(r) − z(y))/dt − D)
     w = k_p (b z(r) − z(y)) + I + k_d D
     P = clip(P_fed + map(w))
-    I ← I + dt k_i (z(x) − z(y)) + (dt/T_t) unmap(P − P_asked)     where k_i > 0
+    I ← I + dt k_i (z(r) − z(y)) + (dt/T_t) unmap(P − P_asked)     where k_i > 0
 
-where x is the reference as a robot follows it whose commands act later than is known: at a start, what it is behind r
-because of that is no error of the model's, and what an integral gathers of it takes seconds to undo. map turns a
-channel's effort into pressures: force/area for a length, the least-norm pressures of the joint torques for angles.
-P_fed are the static pressures of r, or come with r from ``controllers.inverse``. Two-degree-of-freedom form, derivative
-filter and back-calculation follow Åström & Hägglund, "Advanced PID Control" (2006).
+r is the reference as a robot follows it whose commands act later than is known: at a start, what it is behind because
+of that is no error of the model's, and feedback that answers it drives the robot past where it is to be. P_fed are not
+held back so. map turns a channel's effort into pressures: force/area for a length, the least-norm pressures of the
+joint torques for angles. P_fed are the static pressures of the reference, or come from ``controllers.inverse``.
+Two-degree-of-freedom form, derivative filter and back-calculation follow Åström & Hägglund, "Advanced PID Control"
+(2006).
 """
 
 from __future__ import annotations
@@ -118,7 +119,6 @@ def pid_start(y: Array, surplus: Array, gains: Array, lengths: bool, c: Array, s
 @njit(cache=True, nogil=True, error_model="numpy")
 def pid_command(
     r: Array,
-    expected: Array,
     y: Array,
     fed: Array,
     gains: Array,
@@ -134,7 +134,6 @@ def pid_command(
 
     Args:
         r: (nj,) reference of what is measured [rad].
-        expected: (nj,) x, where the integral has nothing to do [rad].
         y: (nj,) measured angles [rad].
         fed: (na,) fed forward [Pa].
         gains: see ``pid_start``.
@@ -147,10 +146,9 @@ def pid_command(
         command: (na,) written [Pa].
     """
     nz = state.shape[1]
-    zr, zx, zy, w = np.empty(nz), np.empty(nz), np.empty(nz), np.empty(nz)
+    zr, zy, w = np.empty(nz), np.empty(nz), np.empty(nz)
     asked = np.empty(N_ACTUATORS)
     channel_values(r, lengths, c, zr)
-    channel_values(expected, lengths, c, zx)
     channel_values(y, lengths, c, zy)
     for i in range(nz):
         weighted = gains[WEIGHT_D, i] * zr[i] - zy[i]
@@ -168,4 +166,4 @@ def pid_command(
     for i in range(nz):
         share = min(dt / gains[TRACKING, i], 1.0) if gains[TRACKING, i] > 0.0 else 1.0
         if gains[KI, i] > 0.0:
-            state[INTEGRAL, i] += dt * gains[KI, i] * (zx[i] - zy[i]) + share * w[i]
+            state[INTEGRAL, i] += dt * gains[KI, i] * (zr[i] - zy[i]) + share * w[i]

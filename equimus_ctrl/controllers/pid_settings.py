@@ -27,16 +27,22 @@ class PidGains:
         kp: effort per error.
         ki: effort per error and second.
         kd: effort per rate of error.
+        tracking_time: in place of what the settings have for all channels [s].
     """
 
     kp: float
     ki: float = 0.0
     kd: float = 0.0
+    tracking_time: float | None = None
 
     def __post_init__(self) -> None:
-        for key, value in asdict(self).items():
+        for key, value in self.to_dict().items():
             if not (math.isfinite(value) and value >= 0):
                 raise ConfigError(f"{key} is {value:g}, expected a finite number of at least 0")
+
+    def to_dict(self) -> dict[str, float]:
+        """What a TOML table of these gains holds."""
+        return {key: value for key, value in asdict(self).items() if value is not None}
 
 
 @dataclass(frozen=True)
@@ -57,7 +63,7 @@ class PidSettings:
         decoupled: whether efforts of joints are accelerations, which the mass matrix turns into torques, so that no
             joint disturbs another; for the PID by exact equations (``controllers.exact_pid``).
         lateness: by how much later than is known commands are thought to act [s]: so much later the first pose fades
-            out of what the integral compares with. Of a PID on elastic actuators.
+            out of what the feedback compares with. Of a PID on elastic actuators.
     """
 
     gains: Mapping[str, PidGains]
@@ -94,7 +100,7 @@ class PidSettings:
 
     @property
     def late_start(self) -> float:
-        """Over which the first pose fades out of what the integral compares with [s]: on average so much later."""
+        """Over which the first pose fades out of what the feedback compares with [s]: on average so much later."""
         return self.start_time + 2 * self.lateness
 
     def channels(self, spec_or_robot: PlantSpec | Robot) -> tuple[str, ...]:
@@ -119,8 +125,12 @@ class PidSettings:
         for name in channels:
             if name not in self.gains:
                 raise ConfigError(f"PID gains: channel {name!r} has none (given: {', '.join(self.gains) or 'none'})")
-        shared = [self.derivative_time, self.tracking_time, self.proportional_weight, self.derivative_weight]
-        return np.array([[g.kp, g.ki, g.kd, *shared] for g in (self.gains[name] for name in channels)]).T.copy()
+        rows = []
+        for g in (self.gains[name] for name in channels):
+            tracking = self.tracking_time if g.tracking_time is None else g.tracking_time
+            times = self.derivative_time, tracking
+            rows.append([g.kp, g.ki, g.kd, *times, self.proportional_weight, self.derivative_weight])
+        return np.array(rows).T.copy()
 
     @classmethod
     def from_dict(cls, data: Mapping[str, Any], where: str = "PID settings") -> PidSettings:
@@ -158,7 +168,7 @@ class PidSettings:
         """What a TOML file of these settings holds."""
         data = {f.name: getattr(self, f.name) for f in fields(self) if f.name not in ("gains", "decoupled")}
         data |= {"decoupled": True} if self.decoupled else {}
-        return {"format": FORMAT, **data, "gains": {name: asdict(gains) for name, gains in self.gains.items()}}
+        return {"format": FORMAT, **data, "gains": {name: gains.to_dict() for name, gains in self.gains.items()}}
 
 
 def _gains(table: Any, where: str) -> PidGains:

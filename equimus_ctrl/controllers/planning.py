@@ -1,4 +1,4 @@
-"""What predictive controllers begin with, and what they plan with once drives are found to be later than is known."""
+"""What predictive controllers begin with."""
 
 from __future__ import annotations
 
@@ -6,9 +6,9 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import Any, Protocol, TypeVar
 
-from equimus_ctrl.controllers.horizon import AnyState, Horizon, HorizonSettings
+from equimus_ctrl.controllers.horizon import Horizon, HorizonSettings
 from equimus_ctrl.controllers.valve_estimation import ValveEstimation
-from equimus_ctrl.estimation.observer import Observer, ObserverState
+from equimus_ctrl.estimation.observer import Observer
 from equimus_ctrl.settings import both
 from equimus_ctrl.types import Observation, PlantSpec
 
@@ -20,6 +20,7 @@ class Planning(Protocol):
     def horizon(self) -> Horizon: ...
     @property
     def observer(self) -> Observer: ...
+    def taken_over(self, state: Any) -> dict[str, Any]: ...
 
 
 AnySettings = TypeVar("AnySettings", bound=HorizonSettings)
@@ -52,16 +53,3 @@ def begun(
         estimation = ValveEstimation(spec, tools, lambda later: make(later, plain, tools.horizon), own["note"])
     watched = None if bank is None else own["observer"]
     return {**own, "plan": None, "tools": tools, "estimation": estimation, "watched": watched}
-
-
-def found_out(observation: Observation, state: AnyState) -> tuple[AnyState, ObserverState | None]:
-    """With the tools for the likeliest valves, and what their observer remembers by now; None without a bank."""
-    if state.estimation is None or state.watched is None:
-        return state, None
-    estimation = state.estimation
-    found = estimation.look(observation, state.tools, state.observer, state.watched)
-    state = replace(state, watched=found.watched)
-    if found.changed:
-        taken, note = found.tools.horizon.taken_over(state), estimation.note(found.watched)
-        state = replace(state, tools=found.tools, plan=None, note=note, **taken)
-    return state, found.observer

@@ -13,14 +13,17 @@ from __future__ import annotations
 import time as clock
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
 from equimus_ctrl.controllers import sampling_policies
-from equimus_ctrl.controllers.horizon import Horizon, HorizonState, Outlook, Pace
-from equimus_ctrl.controllers.planning import begun, found_out
+from equimus_ctrl.controllers.horizon import Horizon, HorizonState, Outlook
+from equimus_ctrl.controllers.pace import Pace
+from equimus_ctrl.controllers.planning import begun
 from equimus_ctrl.controllers.sampling_policies import PolicyState, Waiting
 from equimus_ctrl.controllers.sampling_settings import LOOKS, SamplingSettings, kind_of, there_of
+from equimus_ctrl.controllers.valve_estimation import found_out
 from equimus_ctrl.errors import ConfigError
 from equimus_ctrl.estimation.observer import Observer, require_model
 from equimus_ctrl.models.model import Model
@@ -97,6 +100,10 @@ class SamplingTools:
     def observer(self) -> Observer:
         """That of the horizon."""
         return self.horizon.observer
+
+    def taken_over(self, state: SamplingState) -> dict[str, Any]:
+        """See ``controllers.valve_estimation``."""
+        return self.horizon.taken_over(state)
 
 
 class SamplingController:
@@ -180,9 +187,9 @@ class SamplingController:
             method = self._method or METHODS[state.settings.method]
             return sampling_policies.step(method, self._penalty, observation, reference, state)
         pace = Pace(self._now, state.tools.settings.deadline, state.expected)
-        state, known = found_out(observation, state)
+        state = found_out(observation, state)
         horizon = state.tools.horizon
-        view = horizon.look(observation, reference, state, known)
+        view = horizon.look(observation, reference, state)
         middle = view.wanted.feed + horizon.regulated(view)
         nominal, memory, shifted = self._shifted(view, state)
         found, reason = self._found(view, middle, nominal, memory, state, pace)

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Generic, Protocol, TypeVar
+from typing import Any, Generic, Protocol, TypeVar
 
 from equimus_ctrl.estimation.observer import Observer, ObserverState
 from equimus_ctrl.estimation.valve_bank import ValveBank
@@ -25,6 +25,10 @@ class Observing(Protocol):
 
     @property
     def observer(self) -> Observer: ...
+
+    def taken_over(self, state: Any) -> dict[str, Any]:
+        """The fields of a controller's state that other valves change."""
+        ...
 
 
 Tools = TypeVar("Tools", bound=Observing)
@@ -111,3 +115,37 @@ class ValveEstimation(Generic[Tools]):
         if choice not in self._made:
             self._made[choice] = self._make(replace(self._spec, effects=self._bank.model(choice).effects))
         return self._made[choice]
+
+
+@dataclass(frozen=True, eq=False)
+class ObservedState:
+    """What every controller on an observer carries from step to step.
+
+    Attributes:
+        observer: what is known of the robot.
+        tools: made for the plant, and its valves, once.
+        note: where allowances come from, or what was found of the valves; empty where settings say all.
+        estimation: of valves; None where there is none.
+        watched: what its observer remembers.
+    """
+
+    observer: ObserverState
+    tools: Any
+    note: str
+    estimation: ValveEstimation[Any] | None
+    watched: ObserverState | None
+
+
+AnyState = TypeVar("AnyState", bound=ObservedState)
+
+
+def found_out(observation: Observation, state: AnyState) -> AnyState:
+    """With what is known of the robot now, and the tools for the likeliest valves."""
+    if state.estimation is None or state.watched is None:
+        return replace(state, observer=state.tools.observer.update(observation, state.observer))
+    estimation = state.estimation
+    found = estimation.look(observation, state.tools, state.observer, state.watched)
+    state = replace(state, observer=found.observer, watched=found.watched)
+    if not found.changed:
+        return state
+    return replace(state, tools=found.tools, note=estimation.note(found.watched), **found.tools.taken_over(state))

@@ -58,8 +58,7 @@ class Plan:
     """What a controller that knows the inverse of a model does along a course, whatever its gains.
 
     Attributes:
-        shown: (n, nj) its reference [rad].
-        expected: (n, nj) what its integral compares with [rad].
+        shown: (n, nj) what its feedback compares with [rad].
         command: (n, na) what it feeds forward [Pa].
         surplus: (na,) see ``pid_kernel.pid_start`` [Pa].
         low: (na,) lowest command of any use [Pa].
@@ -67,7 +66,6 @@ class Plan:
     """
 
     shown: Array
-    expected: Array
     command: Array
     surplus: Array
     low: Array
@@ -92,9 +90,8 @@ def make_plan(
     begun = inverse.start(0.0, shown(sensor, position) + course.noise[0])
     times = np.asarray(np.arange(len(course.reference)) * course.control_dt, dtype=np.float64)
     reference = SampledReference(times, course.reference)
-    seen, command, _ = inverse.follow(reference, times, begun)
-    expected = seen if late_start == start_time else inverse.shown(reference, times, begun, late_start)[0]
-    return Plan(seen, expected, command, inverse.surplus(begun, course.command_before), inverse.low, inverse.high)
+    seen, command, _ = inverse.follow(reference, times, times, begun, late_start)
+    return Plan(seen, command, inverse.surplus(begun, course.command_before), inverse.low, inverse.high)
 
 
 @dataclass(frozen=True, eq=False)
@@ -223,7 +220,6 @@ def _track_block(nominal: Morphology, phase: Phase, course: Course, loops: Seque
         np.arange(n) * course.control_dt,
         course.reference,
         np.array([plan.shown for plan in plans]).reshape(k, -1, nj),
-        np.array([plan.expected for plan in plans]).reshape(k, -1, nj),
         np.array([plan.command for plan in plans]).reshape(k, -1, na),
         np.array([plan.surplus for plan in plans]).reshape(-1, na),
         course.noise,

@@ -96,7 +96,6 @@ def run_loop(
     times: Array,
     reference: Array,
     shown: Array,
-    expected: Array,
     planned: Array,
     surplus: Array,
     noise: Array,
@@ -136,12 +135,11 @@ def run_loop(
         lengths: whether channels are actuator lengths, else joint angles.
         feedforward: whether the controller adds the static pressures, where nothing is planned.
         start_time: of the bumpless blend [s].
-        late_start: of that in what the integral compares with [s].
+        late_start: of that in what the feedback compares with [s].
         times: (n,) control instants [s].
         reference: (n, nj) at each of them [rad].
         shown: (k, n, nj) what the sensors show of it and (k, n, na) what is fed forward where that is planned, see
             ``controllers.inverse`` [rad, Pa]; n is 0 where it is not.
-        expected: (k, n, nj) what the integral compares with, as ``shown`` [rad].
         planned: see ``shown``.
         surplus: (k, na) see ``pid_start``, where it is planned [Pa].
         noise: (n, nj) added to each measurement [rad].
@@ -165,7 +163,7 @@ def run_loop(
     """
     k, n, back = len(valve), len(times), past.shape[2]
     dt = control_dt / steps
-    y, r, x, fed = np.empty(N_JOINTS), np.empty(N_JOINTS), np.empty(N_JOINTS), np.empty(N_ACTUATORS)
+    y, r, fed = np.empty(N_JOINTS), np.empty(N_JOINTS), np.empty(N_ACTUATORS)
     arriving, drive = np.empty(N_ACTUATORS), np.zeros((2, N_ACTUATORS * LANES))
     drive[0] = w[robot[ROW_PRESSURE] * LANES : (robot[ROW_PRESSURE] + N_ACTUATORS) * LANES]
     for now in range(first, last):
@@ -209,7 +207,7 @@ def run_loop(
                 if now == 0:
                     pid_start(y, surplus[l], gains[l], lengths, nominal, memory[l])
                 for j in range(N_JOINTS):
-                    r[j], x[j] = shown[l, now, j], expected[l, now, j]
+                    r[j] = shown[l, now, j]
                 for i in range(N_ACTUATORS):
                     fed[i] = planned[l, now, i]
             else:
@@ -222,9 +220,10 @@ def run_loop(
                         offset[l, j] = y[j] - reference[0, j]
                 for j in range(N_JOINTS):
                     r[j] = reference[now, j] + weight * offset[l, j]
-                    x[j] = reference[now, j] + later * offset[l, j]
                 static_feed(r, feedforward, nominal, fed)
-            pid_command(r, x, y, fed, gains[l], lengths, low, high, control_dt, nominal, memory[l], out_command[l, now])
+                for j in range(N_JOINTS):
+                    r[j] = reference[now, j] + later * offset[l, j]
+            pid_command(r, y, fed, gains[l], lengths, low, high, control_dt, nominal, memory[l], out_command[l, now])
             shape_command(shaping, out_command[l, now], arriving)
             for i in range(N_ACTUATORS):
                 reaches[l, i, now] = arriving[i]

@@ -229,10 +229,14 @@ class Study(AnyStudy):
     def settings(self, values: Array, channels: tuple[str, ...]) -> PidSettings:
         """PID settings of a candidate's vector (see ``ranges``), to six digits.
 
-        What is judged is what is written, and processors that round otherwise find the same.
+        What is judged is what is written, and processors that round otherwise find the same. The tracking time is that
+        of Åström & Hägglund, √(T_i T_d) = √(k_d/k_i) of each channel.
         """
         rounded = [float(f"{v:.6g}") for v in values]
-        gains = {channel: PidGains(*rounded[3 * i : 3 * i + 3]) for i, channel in enumerate(channels)}
+        gains = {}
+        for i, channel in enumerate(channels):
+            kp, ki, kd = rounded[3 * i : 3 * i + 3]
+            gains[channel] = PidGains(kp, ki, kd, float(f"{math.sqrt(kd / ki):.6g}"))
         return PidSettings(gains, self.space, derivative_time=rounded[-1], inverse=self.inverse)
 
 
