@@ -59,6 +59,15 @@ _ROWS: Mapping[str, tuple[Row, ...]] = {
     "diagnosis.simulated": (
         ("SETTLED", 0.05, "method", "convention", "rounds of the step's error end: it changes by so much of the noise"),
         ("ROUNDS", 6, "method", "convention", "so many of them at most"),
+        ("NEARER", 0.5, "evidence", "theory", "the error is shown once: the number is nearer to 1 than to 0 or 2"),
+        (
+            "SQUARES_LEFT",
+            0.1,
+            "looked at",
+            "convention",
+            "residuals are the error times a number: another step is asked",
+        ),
+        ("SHORTEST", 1 / 16, "looked at", "convention", "of the XML's step, the shortest one that is asked"),
         ("NOISELESS", 1e-4, "looked at", "convention", "noise, of the motion, below which laws with states are asked"),
     ),
     "diagnosis.preflight": (

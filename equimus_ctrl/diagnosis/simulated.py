@@ -1,20 +1,22 @@
 """Recordings that MuJoCo made: what its physics step adds to the motion is no physics that a model lacks.
 
-The compiled equations of motion are exact; a simulation by MuJoCo has the error of its step, and friction that creeps
-for its constraints are soft. In recordings of such a simulation that is seen before anything else is, for they have
-little noise or none. At a hypothesis, with d what MuJoCo with the XML's own step and solver predicts less what the
-exact engine does, r the residuals, both whitened, and P the projection beyond all free parameters and initial states,
+The compiled equations of motion are exact; a simulation by MuJoCo has the error of its step, and dry friction that
+creeps, for its constraints are soft. In recordings of such a simulation that is seen before anything else is, for they
+have little noise or none. At a hypothesis, with d what MuJoCo predicts less what the exact engine does, r the
+residuals, both whitened, and P the projection beyond all free parameters and initial states,
 
-    λ = rᵀPd / dᵀPd,    G = ‖Pr‖² − ‖P(r − d)‖² = 2 rᵀPd − dᵀPd
+    λ = rᵀPd / dᵀPd,    G = ‖Pr‖² − ‖P(r − d)‖² = (2λ − 1) dᵀPd
 
-λ is 1 where MuJoCo made the recordings, and 0 where a robot did; G is what χ² falls by. There is nothing to fit, so a
-robot looks like a simulation by chance alone, and only where λ happens to be near 1. Where it is, d is taken off the
-recordings, and the search goes on with the exact engine: to first order that is a search with MuJoCo's.
+λ is 1 where MuJoCo made the recordings, and 0 where a robot did; G is what χ² falls by, with nothing fitted. Tried are
+the XML's own step; of recordings without noise, whose residuals are all of this shape, the step that λ says, for an
+error of first order is in proportion to it; and so short a step that friction alone creeps. Where χ² falls by more than
+an effect has to make it fall, d is taken off the recordings, and the search goes on with the exact engine: to first
+order that is a search with MuJoCo's. It has to be that once still, at the hypothesis that fits best then.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -26,7 +28,8 @@ from equimus_ctrl.diagnosis.holdout import Split
 from equimus_ctrl.diagnosis.policy import Thresholds
 from equimus_ctrl.diagnosis.search import Search
 from equimus_ctrl.diagnosis.search_state import SearchHistory, SearchState
-from equimus_ctrl.engines.choice import simulation_of
+from equimus_ctrl.engines.base import Engine
+from equimus_ctrl.engines.choice import MujocoEngine, simulation_of
 from equimus_ctrl.errors import SimulationDiverged
 from equimus_ctrl.identification.projection import Nuisance
 from equimus_ctrl.identification.residuals import followed
@@ -43,6 +46,12 @@ ROUNDS = 6
 """So often d is worked out at most, each time at the parameters that the last one led to."""
 NOISELESS = 1e-4
 """Of the motion: only where noise is less are laws with states, which are compiled one by one, looked at too."""
+NEARER = 0.5
+"""λ is nearer to 1 than to 0 or 2."""
+SQUARES_LEFT = 0.1
+"""Of ‖Pr‖², at most, where residuals are d times a number."""
+SHORTEST = 1 / 16
+"""Of the XML's step: the error of one that is so short is not looked for."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,27 +62,29 @@ class Simulated:
         search: with the segments without it.
         end: where it is.
         raw: the segments as they were recorded.
-        model: of the hypothesis at which the error was last worked out.
-        gain: G.
+        maker: the engine that made them.
         share: λ.
+        gain: G.
+        model: of the hypothesis at which the error was last worked out.
     """
 
     search: Search
     end: SearchState
     raw: Sequence[Segment]
-    model: Model
-    gain: float
+    maker: Engine
     share: float
+    gain: float
+    model: Model
 
     @property
     def sentence(self) -> str:
         """For a person."""
-        step = simulation_of(self.model)
-        assert step is not None and step.discretisation is not None
+        step = self.maker.discretisation
+        assert step is not None
         return (
-            "These recordings look as if MuJoCo had simulated them with the physics step of the XML, "
-            f"{1e3 * step.discretisation.step:g} ms: they show {self.share:.3g} times its error (χ² falls by "
-            f"{self.gain:.4g} with it). It is no physics, and was taken off."
+            "These recordings look as if MuJoCo had simulated them with a physics step of about "
+            f"{1e3 * step.step:.2g} ms: they show {self.share:.3g} times its error (χ² falls by {self.gain:.4g} with "
+            "it), which is no physics, and was taken off."
         )
 
     def settled(self) -> Simulated:
@@ -83,7 +94,8 @@ class Simulated:
             BudgetSpent: where the budget ends.
             SimulationDiverged: where the hypothesis, or it without a part, diverges.
         """
-        return _taken_off(self.search, self.end, self.raw, self.end.best, self.gain, self.share)
+        again = _taken_off(self.search, self.end, self.raw, self.end.best, self.maker)
+        return replace(again, share=self.share, gain=self.gain)
 
     def without_error(self, split: Split) -> Split:
         """The trials that are held out, likewise: from where they start the error follows, and by it where they do."""
@@ -91,7 +103,7 @@ class Simulated:
         held_out: Sequence[Segment] = raw
         before = [np.zeros(s.outputs.shape) for s in raw]
         for _ in range(ROUNDS if raw else 0):
-            error = _error(data.simulator, self.model, held_out)
+            error = _error(data.simulator, self.maker, self.model, held_out)
             held_out = _less(raw, error)
             change = np.concatenate([own - old for own, old in zip(error, before, strict=True)])
             if np.all(np.sqrt(np.mean(change**2, axis=0)) < SETTLED * np.asarray(data.least_noise)):
@@ -109,40 +121,91 @@ def simulated(search: Search, end: SearchState) -> Simulated | None:
         BudgetSpent: where the budget ends.
         SimulationDiverged: where a hypothesis diverges that went through before.
     """
+    data = search.data
     for fitted in dict.fromkeys((end.best, *end.without)):
-        found = _share(search.data, fitted)
-        if found is None:
+        engine = simulation_of(fitted.fit.model, any_law=_noiseless(data, fitted))
+        if engine is None or data.simulator.engine.discretisation is not None:
             continue
-        share, gain, certain = found
-        alike = search.data.thresholds.decides(partial(_alike, share, certain))
-        if alike and search.data.thresholds.decides(partial(_exceeds, search, gain)):
-            return _taken_off(search, end, search.data.segments, fitted, gain, share)
+        for maker in _makers(data, fitted, engine):
+            shown = _shown(data, fitted, maker)
+            if shown is None or not data.thresholds.decides(partial(_exceeds, search, shown.gain)):
+                continue
+            if abs(shown.share - 1.0) < NEARER:
+                found = _taken_off(search, end, data.segments, fitted, maker)
+                if _once(found):
+                    return replace(found, share=shown.share, gain=shown.gain)
     return None
 
 
-def _alike(share: float, certain: float, t: Thresholds) -> bool:
-    """Whether λ is 1, as far as is known or but for what is of second order."""
-    return abs(share - 1.0) < t.as_simulated or (share - 1.0) ** 2 * certain < float(chdtri(1, t.significance))
+@dataclass(frozen=True)
+class _Shown:
+    """λ, dᵀPd, and ‖Pr‖² of the residuals."""
+
+    share: float
+    size: float
+    whole: float
+
+    @property
+    def gain(self) -> float:
+        """G."""
+        return (2 * self.share - 1) * self.size
+
+
+def _makers(data: Data, fitted: Fitted, engine: MujocoEngine) -> Iterator[Engine]:
+    """Engines that may have made the recordings."""
+    yield engine
+    own = _shown(data, fitted, engine)
+    if own is not None and _all_of_it(own) and own.share > SHORTEST:
+        yield replace(engine, dt=own.share * engine.discretisation.step)
+    if any(effect.rubs for effect in fitted.fit.model.effects):
+        yield replace(engine, dt=SHORTEST * engine.discretisation.step)
+
+
+def _all_of_it(shown: _Shown) -> bool:
+    """Whether the residuals are d times a number, and nothing else."""
+    return shown.share**2 * shown.size > (1 - SQUARES_LEFT) * shown.whole
 
 
 def _exceeds(search: Search, gain: float, t: Thresholds) -> bool:
     return gain > search.threshold(1, t)
 
 
-def _share(data: Data, fitted: Fitted) -> tuple[float, float, float] | None:
-    """λ, G and dᵀPd; None where MuJoCo does not simulate the hypothesis, or diverges."""
-    engine = simulation_of(fitted.fit.model, any_law=_noiseless(data, fitted))
-    if engine is None or data.simulator.engine.discretisation is not None:
-        return None
+def _once(found: Simulated) -> bool:
+    """Whether recordings show the error once, by the hypothesis that fits best without it."""
+    data, best = found.search.data, found.end.best
+    taken = [old.outputs - own.outputs for old, own in zip(found.raw, data.segments, strict=True)]
+    shown = _shown(data, best, found.maker, taken)
+    return shown is not None and data.thresholds.decides(partial(_alike, shown))
+
+
+def _alike(shown: _Shown, t: Thresholds) -> bool:
+    """Whether λ is 1, as far as is known or but for what is of second order."""
+    away = abs(shown.share - 1.0)
+    return away < t.as_simulated or away**2 * shown.size < float(chdtri(1, t.significance))
+
+
+def _shown(data: Data, fitted: Fitted, maker: Engine, taken: Sequence[Array] | None = None) -> _Shown | None:
+    """What residuals show of an engine's step; None where it diverges or there is no error.
+
+    Args:
+        data: the segments.
+        fitted: a hypothesis.
+        maker: the engine.
+        taken: for each segment (m, nj + ne) what was taken off.
+    """
     try:
-        change = changes_between(data.simulator, replace(data.simulator, engine=engine), fitted.fit, data.segments)
+        change = changes_between(data.simulator, replace(data.simulator, engine=maker), fitted.fit, data.segments)
     except SimulationDiverged:
         return None
     whitened = whiten_fit(data.times, fitted.fit, fitted.noise)
     nuisance = Nuisance.of(whitened.slopes)
     error = nuisance.project_out(whitened.columns(data.times, change)[:, 0])
-    along, size = float(nuisance.project_out(whitened.residual) @ error), float(error @ error)
-    return (along / size, 2 * along - size, size) if size > 0 else None
+    residual = whitened.residual
+    if taken is not None:
+        residual = residual + whitened.columns(data.times, [own[:, :, None] for own in taken])[:, 0]
+    residual = nuisance.project_out(residual)
+    size = float(error @ error)
+    return _Shown(float(residual @ error) / size, size, float(residual @ residual)) if size > 0 else None
 
 
 def _noiseless(data: Data, fitted: Fitted) -> bool:
@@ -150,9 +213,7 @@ def _noiseless(data: Data, fitted: Fitted) -> bool:
     return all(joint.sigma < NOISELESS * way for joint, way in zip(fitted.noise, moved, strict=False))
 
 
-def _taken_off(
-    search: Search, end: SearchState, raw: Sequence[Segment], fitted: Fitted, gain: float, share: float
-) -> Simulated:
+def _taken_off(search: Search, end: SearchState, raw: Sequence[Segment], fitted: Fitted, maker: Engine) -> Simulated:
     """A search that begins at a hypothesis fitted to segments without the error of MuJoCo's step.
 
     The error d depends on the parameters, which depend on what was taken off: a fixed point d = g(d), looked for with
@@ -161,7 +222,7 @@ def _taken_off(
     data, nj = search.data, raw[0].outputs.shape[1]
     taken, missed, relaxed = np.zeros((data.n // nj, nj)), None, 1.0
     for _ in range(ROUNDS):
-        here = np.concatenate(_error_at(data.simulator, fitted, data.segments)) - taken
+        here = np.concatenate(_error_at(data.simulator, maker, fitted, data.segments)) - taken
         sigma = np.array([joint.sigma for joint in fitted.noise])
         if missed is not None:
             turned = (here - missed) / sigma
@@ -178,22 +239,18 @@ def _taken_off(
     tried = SearchHistory(first=end.tried.first, rejected=end.tried.rejected)
     base = search.refit(tried, fitted, ())[0] if fitted.hypothesis else fitted
     after = search.beginning(base, fitted) if fitted.hypothesis else SearchState(base, base, tried=tried)
-    return Simulated(search, after, raw, fitted.fit.model, gain, share)
+    return Simulated(search, after, raw, maker, 1.0, 0.0, fitted.fit.model)
 
 
-def _error_at(own: Simulator, fitted: Fitted, segments: Sequence[Segment]) -> list[Array]:
+def _error_at(own: Simulator, maker: Engine, fitted: Fitted, segments: Sequence[Segment]) -> list[Array]:
     """For each segment (m, nj + ne) d at a fit."""
-    engine = simulation_of(fitted.fit.model)
-    assert engine is not None
-    return [c[:, :, 0] for c in changes_between(own, replace(own, engine=engine), fitted.fit, segments)]
+    return [c[:, :, 0] for c in changes_between(own, replace(own, engine=maker), fitted.fit, segments)]
 
 
-def _error(own: Simulator, model: Model, segments: Sequence[Segment]) -> list[Array]:
+def _error(own: Simulator, maker: Engine, model: Model, segments: Sequence[Segment]) -> list[Array]:
     """The same of a model from the starts that fit it."""
-    engine = simulation_of(model)
-    assert engine is not None
     starts = followed(model, segments, own)[0]
-    return [c[:, :, 0] for c in changes_from(own, replace(own, engine=engine), model, segments, starts)]
+    return [c[:, :, 0] for c in changes_from(own, replace(own, engine=maker), model, segments, starts)]
 
 
 def _less(segments: Sequence[Segment], error: Sequence[Array]) -> list[Segment]:

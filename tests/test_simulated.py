@@ -1,0 +1,124 @@
+"""Recordings that MuJoCo made: its step's error is told from physics; recordings of finer steps are left alone."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import mujoco
+import numpy as np
+import pytest
+from pendulum_runs import MOTOR, PENDULUM
+
+from equimus_ctrl import workflow
+from equimus_ctrl.diagnosis.diagnose import DiagnosisSettings
+from equimus_ctrl.diagnosis.diagnose import _with_default_engine as with_default_engine
+from equimus_ctrl.diagnosis.holdout import split
+from equimus_ctrl.diagnosis.hypothesis import default_free_parameters
+from equimus_ctrl.diagnosis.results import Diagnosis
+from equimus_ctrl.diagnosis.simulated import _shown as shown_of
+from equimus_ctrl.engines.choice import simulation_of
+from equimus_ctrl.models.model import Model
+from equimus_ctrl.robots.mjcf.robot import MjcfRobot
+from equimus_ctrl.types import Recording
+
+XML = PENDULUM.format(drive=MOTOR)
+ARM = Model(MjcfRobot("arm", XML, source="arm.xml"))
+HEAVIER = 1.07
+CONTROL = 5
+"""Physics steps of the XML between two samples, and between two commands."""
+
+
+def recorded(noise: float = 0.0, friction: float = 0.0, divided: int = 1, count: int = 3) -> list[Recording]:
+    """What MuJoCo does with a heavier arm under sums of two sines, its step divided, by nothing but ``mj_step``."""
+    found = []
+    for k in range(count):
+        rng = np.random.default_rng(k)
+        model = mujoco.MjModel.from_xml_string(XML)
+        step, model.opt.timestep = model.opt.timestep, model.opt.timestep / divided
+        model.body_mass[1] *= HEAVIER
+        model.body_inertia[1] *= HEAVIER
+        model.dof_frictionloss[0] = friction
+        data = mujoco.MjData(model)
+        data.qpos[0] = rng.uniform(-0.5, 0.5)
+        time = np.arange(400) * CONTROL * step
+        command = rng.uniform(0.5, 1.0) * np.sin(2 * np.pi * rng.uniform(0.4, 0.9) * time + rng.uniform(0, 6))
+        angle = np.empty_like(time)
+        for i, drive in enumerate(command):
+            angle[i], data.ctrl[0] = data.qpos[0], drive
+            mujoco.mj_step(model, data, CONTROL * divided)
+        measured = angle + noise * rng.normal(size=len(angle))
+        found.append(Recording(f"t{k}", time, command[:, None], measured[:, None], ("drive",), ("hinge",)))
+    return found
+
+
+@cache
+def refitted(divided: int, noise: float) -> tuple[float, float]:
+    """λ of the model alone, refitted, and its standard error."""
+    parts = split(ARM, recorded(noise, divided=divided), validation=["t2"])
+    data = with_default_engine(default_free_parameters(ARM), parts, DiagnosisSettings(threads=1))
+    base = data.base()
+    engine = simulation_of(ARM)
+    assert engine is not None
+    found = shown_of(data, base, engine)
+    assert found is not None
+    return found.share, found.size**-0.5
+
+
+@pytest.mark.parametrize("noise", [0.0, 1e-3])
+def test_recordings_show_the_step_s_error_once_where_mujoco_made_them(noise: float) -> None:
+    shown, error = refitted(1, noise)
+    assert abs(shown - 1.0) < 0.01 + 3 * error and (noise == 0.0 or error < 0.2)
+
+
+def test_recordings_of_a_finer_step_show_as_much_of_it_as_their_own_step_has() -> None:
+    # A step of first order has an error in proportion to it.
+    for divided in (2, 8):
+        shown, _ = refitted(divided, 0.0)
+        assert shown == pytest.approx(1 / divided, abs=0.02)
+    shown, error = refitted(32, 1e-3)
+    assert abs(shown) < 1 / 32 + 3 * error
+
+
+def diagnosed(*args: float, **options: float) -> Diagnosis:
+    return workflow.diagnose_recordings(recorded(*args, **options), ARM, threads=2)  # type: ignore[arg-type]
+
+
+def looks_simulated(found: Diagnosis) -> bool:
+    return any("look as if MuJoCo had simulated them with a physics step" in n for n in found.notes)
+
+
+@pytest.mark.slow
+def test_of_a_simulation_without_noise_nothing_is_missing_and_its_numbers_are_found() -> None:
+    found = diagnosed()
+    assert found.verdict == "consistent" and looks_simulated(found)
+    assert found.corrected.robot.parameters()["arm.mass"] == pytest.approx(0.6 * HEAVIER, rel=1e-5)
+    assert np.all(found.rmse("corrected", "validation") < 1e-6)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("noise", [0.0, 1e-3])
+def test_soft_friction_of_a_simulation_is_dry_friction_and_nothing_beside_it(noise: float) -> None:
+    found = diagnosed(noise, 0.05)
+    assert found.verdict == "explained" and looks_simulated(found)
+    (finding,) = found.findings
+    assert str(finding.named) == "coulomb_friction at hinge"
+    assert finding.parameters["friction"].value == pytest.approx(0.05, rel=0.01)
+
+
+@pytest.mark.slow
+def test_a_finer_step_than_the_xml_s_is_found_where_there_is_no_noise() -> None:
+    found = diagnosed(divided=3)
+    assert found.verdict == "consistent" and looks_simulated(found)
+    assert found.corrected.robot.parameters()["arm.mass"] == pytest.approx(0.6 * HEAVIER, rel=1e-4)
+
+
+@pytest.mark.slow
+def test_friction_creeps_in_mujoco_however_short_the_step() -> None:
+    found = diagnosed(1e-3, 0.05, divided=32)
+    assert [str(f.named) for f in found.findings] == ["coulomb_friction at hinge"] and looks_simulated(found)
+
+
+@pytest.mark.slow
+def test_recordings_without_friction_and_with_hardly_a_step_s_error_are_no_simulation_s() -> None:
+    found = diagnosed(1e-3, divided=32)
+    assert found.verdict == "consistent" and not looks_simulated(found)
