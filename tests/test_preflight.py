@@ -54,6 +54,16 @@ def test_a_negated_torque_is_told() -> None:
     assert "the forces of hinge look negated" in said and "cmd.drive" in said and "change the sign" in said
 
 
+def test_a_joint_that_friction_holds_says_nothing_of_signs() -> None:
+    """It creeps the one way while its servo pushes the other way: both forces are constant."""
+    held = PENDULUM.format(drive=SERVO).replace('armature="0.004"', 'armature="0.004" frictionloss="0.3"')
+    robot = MjcfRobot("arm", held)
+    time = np.arange(0, 4, 0.01)
+    rows = [np.column_stack([np.full(len(time), size), 1e-7 * (1 - time)]) for size in (0.02, 0.015)]
+    trials = [Recording(f"t{k}", time, own[:, :1], own[:, 1:], ("drive",), ("hinge",)) for k, own in enumerate(rows)]
+    preflight.check(Model(robot), trials)
+
+
 def test_currents_in_the_place_of_torques_are_told() -> None:
     said = refusal(lambda: preflight.check(Model(ROBOT), [replace(r, command=r.command / 12) for r in runs()]))
     assert "another unit, such as currents" in said and "gear or gain" in said

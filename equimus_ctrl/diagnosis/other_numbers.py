@@ -87,6 +87,7 @@ _ROWS: Mapping[str, tuple[Row, ...]] = {
         ("RANGE_OF_DEGREES", 7.0, "evidence", "theory", "ranges below so many degrees were radians: 2π is 6.3"),
         ("COARSE", 2.0, "told", "theory", "an encoder's steps are told: they are most of the noise"),
         ("POWER", 1e-3, "told", "convention", "an encoder has whole bits"),
+        ("ROUNDED", 1e-9, "arithmetic", "convention", "forces that vary by so little do not vary"),
         ("FEW", 10, "looked at", "convention", "poses in which a joint's drives are looked for"),
         ("WIDTHS", (4, 8, 16), "looked at", "convention", "widths of test functions"),
         ("LONG_ENOUGH", 8, "looked at", "convention", "widths that a recording has to last"),

@@ -59,6 +59,8 @@ COARSE = 2.0
 are of 0.29 steps."""
 POWER = 1e-3
 """So near to a whole number of bits a turn an encoder has that many."""
+ROUNDED = 1e-9
+"""Forces that vary by less, as a share of their size, do not vary."""
 FEW = 10
 """Poses of a recording in which actuators that drive a joint are looked for."""
 
@@ -178,7 +180,8 @@ def _check_forces(model: Model, robot: MjcfRobot, recordings: Sequence[Recording
     drive = {name: [d.name for d in robot.actuators if d.joint == name] for name in robot.joint_names}
     for j in driven:
         name = robot.joint_names[j]
-        if alike[j, j] < -ALIKE:
+        # What friction holds needs nothing: there both are constant, and of whatever sign.
+        if alike[j, j] < -ALIKE and _varies_alike(needed[:, j], exerted[:, j]) < -ALIKE:
             column = " and ".join(f"cmd.{own}" for own in drive[name])
             raise ConfigError(
                 f"the forces of {name} look negated: what its motion needs is the opposite of what {column} exerts "
@@ -205,6 +208,13 @@ def _check_forces(model: Model, robot: MjcfRobot, recordings: Sequence[Recording
             f"needs is {factors[j]:.3g} times what its drive exerts by the model (correlation {alike[j, j]:.2f}); give "
             "the factor as the actuator's gear or gain"
         )
+
+
+def _varies_alike(needed: Array, exerted: Array) -> float:
+    """The correlation about the means; 0 of what does not vary."""
+    a, b = needed - needed.mean(), exerted - exerted.mean()
+    size = float(np.linalg.norm(a) * np.linalg.norm(b))
+    return float(a @ b) / size if size > ROUNDED * float(np.linalg.norm(needed) * np.linalg.norm(exerted)) else 0.0
 
 
 def _check_measured(model: Model, robot: MjcfRobot, recordings: Sequence[Recording]) -> None:
