@@ -15,7 +15,7 @@ from equimus_ctrl import presets, workflow
 from equimus_ctrl.computer import Workers
 from equimus_ctrl.controllers.pid_settings import PidSettings
 from equimus_ctrl.controllers.search_space import Narrowing
-from equimus_ctrl.effects import PayloadMass, TransportDelay
+from equimus_ctrl.effects import FirstOrderLag, PayloadMass, TransportDelay
 from equimus_ctrl.models.model import Model, nominal_model
 from equimus_ctrl.robots.mjcf.robot import MjcfRobot
 from equimus_ctrl.tuning.autotune import best_feasible
@@ -69,6 +69,19 @@ def test_members_are_the_model_the_latest_and_others_within_the_spread() -> None
     assert members == members and repr(make_members(model, STUDY.ensemble, 6, 3)[4].robot.parameters()) == repr(
         members[4].robot.parameters()
     )
+
+
+def test_where_lags_spread_the_hardest_robot_is_also_behind_short_ones() -> None:
+    """With its dead times as long, for these weaken nothing; lags that the model has itself are its own."""
+    spread = replace(STUDY.ensemble, lag=(0.02, 0.1), delay=(0.0, 0.05))
+    members = make_members(Model(ARM), spread, 4, 3)
+    lags = [[e.time_constant for e in m.effects if isinstance(e, FirstOrderLag)] for m in members]
+    delays = [[e.delay for e in m.effects if isinstance(e, TransportDelay)] for m in members]
+    assert lags[:3] == [[pytest.approx(0.06)], [0.1], [0.02]] and delays[:3] == [[0.025], [0.05], [0.05]]
+    assert members[2].robot.parameters() == members[1].robot.parameters() != members[3].robot.parameters()
+    own = FirstOrderLag(ARM.actuator_names[0], 0.03)
+    known = make_members(Model(ARM, (own,)), spread, 3, 3)
+    assert known[2].robot.parameters() != known[1].robot.parameters() and all(own in m.effects for m in known)
 
 
 def test_candidates_are_factors_on_placed_gains_to_six_digits(problem: PlantProblem) -> None:
@@ -154,6 +167,21 @@ def test_a_candidate_that_is_not_to_become_the_cheapest_is_not_tried_to_the_end(
     assert beaten.beaten and not beaten.feasible and beaten.within and len(beaten.member_costs) == 1
     assert cheap.cost < beaten.cost <= whole.cost and beaten.told == f"at least {beaten.cost:.4f}"
     assert Evaluation.from_dict(json.loads(json.dumps(beaten.to_dict()))).to_dict() == beaten.to_dict()
+
+
+def test_robots_beside_the_hardest_are_tried_one_by_one_until_a_candidate_is_beaten(problem: PlantProblem) -> None:
+    first, hardest = problem.members
+    three = replace(problem, members=[first, hardest, hardest], starts=[problem.starts[k] for k in (0, 1, 1)])
+    (whole,) = three.evaluations([problem.first], Workers())
+    assert whole.feasible and whole.member_costs[1] == whole.member_costs[2]
+    # Half as dear on the last robot, as cheap a rival is beyond reach only once that is known of the candidate.
+    rival = (0.5 * whole.member_costs[0], whole.member_costs[1], 0.5 * whole.member_costs[2])
+    least = [
+        three._at_least({1: whole.member_costs[1], 2: third}, 0.9 * np.array(rival))
+        for third in (0.9 * rival[2], whole.member_costs[2])
+    ]
+    (beaten,) = three.evaluations([problem.first], Workers(), [judged(sum(least) / 2, rival)])
+    assert beaten.beaten and len(beaten.member_costs) == 2 and beaten.cost == pytest.approx(least[1])
 
 
 def test_a_further_dead_time_is_tried_only_of_what_would_be_the_cheapest(problem: PlantProblem) -> None:

@@ -128,8 +128,9 @@ class Problem:
         fast = native(prediction.slopes, "slopes") if compiled else None
         self.is_native = fast is not None
         slopes = _in_steps(fast or prediction.slopes, steps)
-        self._slopes, self._one = Buffered(slopes.map(n)), Buffered(prediction.step)
-        self._steps = steps
+        self._slopes = Buffered(slopes.map(n))
+        # Machine code that also knows derivatives is quicker than an interpreted step.
+        self._roll = Buffered(_rolling(fast or prediction.step, steps).mapaccum(n))
         self._scale = np.array(np.broadcast_to(weights.pressure, na), dtype=np.float64)
         self._effort = np.repeat(durations, na)
         self._weight = np.zeros((n - 1, nx))
@@ -263,17 +264,10 @@ class Problem:
     def _rolled(self, plan: Plan, by: Array, share: float, disturbance: Array) -> Plan:
         """A plan with a share of a change of its inputs, and where these lead without a defect."""
         inputs = plan.inputs + share * by
-        states = np.empty_like(plan.states)
-        states[0] = plan.states[0]
-        x, u, d, h = self._one.arguments
-        d[:] = disturbance
-        for k, span in enumerate(self.durations):
-            x[:], u[:], h[:] = states[k], inputs[k], span / self._steps
-            for _ in range(self._steps):
-                self._one()
-                x[:] = self._one.results[0]
-            states[k + 1] = x
-        return Plan(plan.time, inputs, states)
+        x, u, d, h = self._roll.arguments
+        x[:], u[:], d[:], h[:] = plan.states[0], inputs.ravel(), np.tile(disturbance, len(inputs)), self.durations
+        self._roll()
+        return Plan(plan.time, inputs, np.vstack([plan.states[0], self._roll.results[0].T]))
 
     def _linearised(self, plan: Plan, wanted: Wanted) -> _Linearised:
         """What a plan comes to; the program about it is made ready."""
@@ -380,6 +374,16 @@ def _in_steps(slopes: ca.Function, steps: int) -> ca.Function:
         after, next_x, next_u, next_d = slopes(after, u, d, h / steps)
         by_x, by_u, by_d = next_x @ by_x, next_x @ by_u + next_u, next_x @ by_d + next_d
     return ca.Function("slopes", [x, u, d, h], [after, by_x, by_u, by_d])
+
+
+def _rolling(step: ca.Function, steps: int) -> ca.Function:
+    """(x, u, d, h) → x after h, in so many steps of a function whose first result is that after one."""
+    x, u, d, h = (ca.MX.sym(name, step.size1_in(i)) for i, name in enumerate("xudh"))
+    after = x
+    for _ in range(steps):
+        found = step(after, u, d, h / steps)
+        after = found[0] if step.n_out() > 1 else found
+    return ca.Function("rolling", [x, u, d, h], [after])
 
 
 @dataclass(frozen=True, eq=False)

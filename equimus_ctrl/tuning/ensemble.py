@@ -107,7 +107,9 @@ def make_members(model: Model, settings: EnsembleSettings, count: int, seed: int
         settings: how far its numbers spread; dead times add to those it has, lags stand where it has none.
         count: how many.
         seed: the same seed gives the same robots.
-        fixed: as of ``make_ensemble``.
+        fixed: as of ``make_ensemble``; where lags spread, the third is the second with the shortest lags behind the
+            longest dead times. A lag also weakens what it delays, a dead time only delays: a loop that asks for more
+            at high frequencies than it can have is caught by the one and not by the other.
 
     Raises:
         ConfigError: where an effect is of no kind known here.
@@ -118,8 +120,10 @@ def make_members(model: Model, settings: EnsembleSettings, count: int, seed: int
     names = robot.actuator_names
     kept = [effect for effect in model.effects if not isinstance(effect, BodyEffect)]
     slow = {effect.location for effect in kept if isinstance(effect, ValveEffect) and effect.exclusive == "lag"}
+    spreading = settings.lag[1] > settings.lag[0] and any(name not in slow for name in names)
+    corners = ((1.0, 1.0), (1.0, 0.0)) if spreading else ((1.0, 1.0),)
     members = []
-    for row in _rows(spreads, 2 * len(names), count, seed, fixed):
+    for row in _rows(spreads, 2 * len(names), count, seed, fixed, corners):
         late = row[len(spreads) :].reshape(len(names), 2)
         delays, lags = (
             (low + share * (high - low)).tolist()
@@ -143,11 +147,28 @@ def later(model: Model, delays: float | Sequence[float]) -> Model:
     return Model(model.robot, (*others, *late), model.phase)
 
 
-def _rows(spreads: Sequence[Group], late: int, count: int, seed: int, fixed: bool) -> list[Array]:
-    """Places in the ranges of parameters and of what is late: the middle, what is hardest to stabilise, and drawn."""
+def _rows(
+    spreads: Sequence[Group],
+    late: int,
+    count: int,
+    seed: int,
+    fixed: bool,
+    corners: Sequence[tuple[float, float]] = ((1.0, 1.0),),
+) -> list[Array]:
+    """Places in the ranges of parameters and of what is late: the middle, what is hardest to stabilise, and drawn.
+
+    Args:
+        spreads: the parameters.
+        late: how many dead times and lags there are, which take turns.
+        count: of places.
+        seed: of those drawn.
+        fixed: whether the middle and the hardest are among them.
+        corners: dead time and lag of what is hardest.
+    """
     n = len(spreads) + late
     corner = [
         1.0 if names[0].endswith(".area") else 0.5 if names[0].endswith(".rest_length") else 0.0 for names, _ in spreads
     ]
-    known = [np.full(n, 0.5), np.array([*corner, *([1.0] * late)])][:count] if fixed else []
+    hardest = [np.array([*corner, *(own * (late // 2))]) for own in corners]
+    known = [np.full(n, 0.5), *hardest][:count] if fixed else []
     return [*known, *latin_hypercube(count - len(known), n, np.random.default_rng(seed))]

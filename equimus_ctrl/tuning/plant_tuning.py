@@ -245,16 +245,15 @@ class PlantProblem:
     ) -> Iterator[Evaluation]:
         """Of candidates on all robots, in their order, as they are known.
 
-        What cannot make one the result is left out: the other robots, where it fails on the one that is latest or
-        costs too much there for them to make up; the further dead time, where it costs too much on all.
+        What cannot make one the result is left out: other robots, where it fails on those that are latest or costs too
+        much there for the others to make up; the further dead time, where it costs too much on all.
 
         Args:
             candidates: to try.
             pool: where.
             so_far: of candidates tried before these, by which they are beaten.
         """
-        hardest = min(HARDEST, len(self.members) - 1)
-        rest = [k for k in range(len(self.members)) if k != hardest]
+        everybody = range(len(self.members))
         incumbent = min((own.cost for own in so_far if own.feasible), default=math.inf)
         # On each robot as cheap as the cheapest candidate there, and some more, is as much as is thought possible.
         whole = [own.member_costs for own in so_far if own.within and len(own.member_costs) == len(self.members)]
@@ -262,31 +261,40 @@ class PlantProblem:
         size = AHEAD * pool.count
         for begin in range(0, len(candidates), size):
             part = candidates[begin : begin + size]
-            first = [legs[0] for legs in self._shared(pool, [([own], hardest) for own in part])]
-            alone = [self.judge([leg]) for leg in first]
-            costs = [self._at_least(own.member_costs[0], possible, hardest) for own in alone]
-            going = [k for k, own in enumerate(alone) if own.feasible and costs[k] < incumbent]
-            others = iter(self._shared(pool, [([part[k]], member) for k in going for member in rest]))
-            found: dict[int, list[LegOutcome]] = {}
-            for k in going:
-                found[k] = [next(others)[0] for _ in rest]
-                found[k].insert(hardest, first[k])
-            known = {k: self.judge(legs) for k, legs in found.items()}
+            found: list[dict[int, LegOutcome]] = [{} for _ in part]
+            known: dict[int, Evaluation] = {}
+            going = list(range(len(part)))
+            for stage in self._stages:
+                tried = iter(self._shared(pool, [([part[k]], number) for k in going for number in stage]))
+                for k in going:
+                    found[k] |= {number: next(tried)[0] for number in stage}
+                    own = self.judge([found[k][number] for number in everybody if number in found[k]])
+                    if own.feasible and len(found[k]) < len(self.members):
+                        least = self._at_least(dict(zip(sorted(found[k]), own.member_costs, strict=True)), possible)
+                        own = replace(own, cost=least, feasible=least < incumbent, beaten=least >= incumbent)
+                    known[k] = own
+                going = [k for k in going if known[k].feasible]
             if self.margin:
-                cheap = [k for k, own in known.items() if own.feasible and own.cost < incumbent]
-                known |= {k: replace(own, feasible=False, beaten=own.feasible) for k, own in known.items()}
+                cheap = [k for k in going if known[k].cost < incumbent]
+                known |= {k: replace(known[k], feasible=False, beaten=True) for k in going if k not in cheap}
                 slower = dict(pool.each(PlantProblem.delayed_outcomes, [(self, part[k]) for k in cheap]))
+                latest = self._stages[0][0]
                 for index, k in enumerate(cheap):
-                    found[k][hardest] = _the_worse(first[k], slower[index])
-                    known[k] = self.judge(found[k])
-            for k, own in enumerate(alone):
-                beaten = replace(own, cost=costs[k], feasible=False, beaten=True) if own.feasible else own
-                yield known.get(k, beaten)
+                    found[k][latest] = _the_worse(found[k][latest], slower[index])
+                    known[k] = self.judge([found[k][number] for number in everybody])
+            yield from (known[k] for k in range(len(part)))
 
-    def _at_least(self, cost: float, possible: Array, number: int) -> float:
-        """What a candidate costs at least that costs so much on one robot, and what is thought possible on others."""
+    @property
+    def _stages(self) -> list[list[int]]:
+        """Numbers of the robots that candidates are tried on one after the other: two by themselves, then the rest."""
+        first = [min(HARDEST, len(self.members) - 1), *range(HARDEST + 1, len(self.members))][:2]
+        rest = [number for number in range(len(self.members)) if number not in first]
+        return [*([number] for number in first), *([rest] if rest else [])]
+
+    def _at_least(self, costs: Mapping[int, float], possible: Array) -> float:
+        """What a candidate costs at least that costs so much on some robots, and what is thought possible on others."""
         each = possible.copy()
-        each[number] = cost
+        each[list(costs)] = list(costs.values())
         return float((1 - self.weights.worst) * each.mean() + self.weights.worst * each.max())
 
     def on_each(self, candidates: Sequence[Candidate], pool: computer.Workers) -> list[list[Evaluation]]:
@@ -410,6 +418,7 @@ def study_key(study: PlantStudy, problem: PlantProblem) -> str:
         versions(),
         problem.controller,
         source(type(problem.made(problem.first))),
+        [model_to_dict(member) for member in problem.members],
     ]
     ranges = {name: asdict(own) for name, own in space.ranges.items()}
     text = json.dumps([*told, ranges, problem.first.to_dict()], sort_keys=True)
