@@ -50,7 +50,9 @@ SETTINGS = {
     'derivative_time = "a"\n' + GAINS: "derivative_time is 'a', expected a number",
     "feedforward = 1\n" + GAINS: "feedforward is 1, expected true or false",
     GAINS.replace("1.0", "-1", 1): "gains.maa: kp is -1, expected a finite number of at least 0",
-    GAINS.replace("kp", "kpp", 1): "gains.maa: there is no key 'kpp'; did you mean 'kp'? (known: kd, ki, kp)",
+    GAINS.replace(
+        "kp", "kpp", 1
+    ): "gains.maa: there is no key 'kpp'; did you mean 'kp'? (known: kd, ki, kp, tracking_time)",
     GAINS.replace("kp", "ki", 1): "gains.maa: 'kp' is missing",
     GAINS.replace("baa", "bba"): "there is no length channel 'bba'; did you mean 'baa'? (known: baa, maa)",
     GAINS.split("[gains.baa]")[0]: "channel 'baa' has none (given: maa)",

@@ -101,14 +101,13 @@ class Simulated:
         """The trials that are held out, likewise: from where they start the error follows, and by it where they do."""
         data, raw = self.search.data, (*split.validation, *split.test)
         held_out: Sequence[Segment] = raw
-        before = [np.zeros(s.outputs.shape) for s in raw]
+        off, unsure = _Off.nothing(raw), np.asarray(data.least_noise)
         for _ in range(ROUNDS if raw else 0):
-            error = _error(data.simulator, self.maker, self.model, held_out)
-            held_out = _less(raw, error)
-            change = np.concatenate([own - old for own, old in zip(error, before, strict=True)])
-            if np.all(np.sqrt(np.mean(change**2, axis=0)) < SETTLED * np.asarray(data.least_noise)):
+            error = np.concatenate(_error(data.simulator, self.maker, self.model, held_out))
+            off = off.towards(error, unsure)
+            held_out = _less(raw, off.taken)
+            if np.all(np.sqrt(np.mean(off.missed**2, axis=0)) < SETTLED * unsure):
                 break
-            before = error
         count = len(split.validation)
         validation, test = tuple(held_out[:count]), tuple(held_out[count:])
         return replace(split, train=tuple(data.segments), validation=validation, test=test)
@@ -213,27 +212,49 @@ def _noiseless(data: Data, fitted: Fitted) -> bool:
     return all(joint.sigma < NOISELESS * way for joint, way in zip(fitted.noise, moved, strict=False))
 
 
-def _taken_off(search: Search, end: SearchState, raw: Sequence[Segment], fitted: Fitted, maker: Engine) -> Simulated:
-    """A search that begins at a hypothesis fitted to segments without the error of MuJoCo's step.
+@dataclass(frozen=True, eq=False)
+class _Off:
+    """What is taken off, on its way to a fixed point d = g(d): d depends on parameters and starts, and these on it.
 
-    The error d depends on the parameters, which depend on what was taken off: a fixed point d = g(d), looked for with
-    relaxation by Aitken's Δ² (Irons & Tuck, 1969), for where friction stops a joint g turns about it.
+    Relaxed by Aitken's Δ² (Irons & Tuck, 1969), for where friction stops a joint g turns about the fixed point.
+
+    Attributes:
+        taken: (m, nj + ne) of all segments.
+        missed: g(d) − d where it came from.
+        relaxed: how much of that was added.
     """
-    data, nj = search.data, raw[0].outputs.shape[1]
-    taken, missed, relaxed = np.zeros((data.n // nj, nj)), None, 1.0
+
+    taken: Array
+    missed: Array
+    relaxed: float = 0.0
+
+    @classmethod
+    def nothing(cls, segments: Sequence[Segment]) -> _Off:
+        """None of it."""
+        none = np.concatenate([np.zeros(s.outputs.shape) for s in segments]) if segments else np.zeros((0, 0))
+        return cls(none, none)
+
+    def towards(self, error: Array, sigma: Array) -> _Off:
+        """The next one, where g(d) is known, with (nj + ne,) of the noise."""
+        missed, relaxed = error - self.taken, 1.0
+        if self.relaxed:
+            turned = (missed - self.missed) / sigma
+            relaxed = -self.relaxed * float((self.missed / sigma * turned).sum())
+            relaxed /= max(float((turned**2).sum()), 1e-300)
+        return _Off(self.taken + relaxed * missed, missed, relaxed)
+
+
+def _taken_off(search: Search, end: SearchState, raw: Sequence[Segment], fitted: Fitted, maker: Engine) -> Simulated:
+    """A search that begins at a hypothesis fitted to segments without the error of MuJoCo's step."""
+    data, off = search.data, _Off.nothing(raw)
     for _ in range(ROUNDS):
-        here = np.concatenate(_error_at(data.simulator, maker, fitted, data.segments)) - taken
-        sigma = np.array([joint.sigma for joint in fitted.noise])
-        if missed is not None:
-            turned = (here - missed) / sigma
-            relaxed *= -float((missed / sigma * turned).sum()) / max(float((turned**2).sum()), 1e-300)
-        taken, missed = taken + relaxed * here, here
-        segments = _less(raw, np.split(taken, np.cumsum([len(s.outputs) for s in raw])[:-1]))
-        unsure = data.thresholds.step_unsure * np.sqrt(np.mean(taken**2, axis=0))
-        data = replace(data, segments=segments, least_noise=unsure)
+        error = np.concatenate(_error_at(data.simulator, maker, fitted, data.segments))
+        off = off.towards(error, np.array([joint.sigma for joint in fitted.noise]))
+        unsure = data.thresholds.step_unsure * np.sqrt(np.mean(off.taken**2, axis=0))
+        data = replace(data, segments=_less(raw, off.taken), least_noise=unsure)
         begun = data.coarse_fit(fitted.hypothesis, [fitted.begin], fitted.noise, search.settings.long_steps)
         fitted = data.converge(begun)
-        if float(np.sqrt(np.mean((here / [joint.sigma for joint in fitted.noise]) ** 2))) < SETTLED:
+        if float(np.sqrt(np.mean((off.missed / [joint.sigma for joint in fitted.noise]) ** 2))) < SETTLED:
             break
     search = replace(search, data=data)
     tried = SearchHistory(first=end.tried.first, rejected=end.tried.rejected)
@@ -253,10 +274,10 @@ def _error(own: Simulator, maker: Engine, model: Model, segments: Sequence[Segme
     return [c[:, :, 0] for c in changes_from(own, replace(own, engine=maker), model, segments, starts)]
 
 
-def _less(segments: Sequence[Segment], error: Sequence[Array]) -> list[Segment]:
-    """Segments as if d had not been measured."""
-    found = []
-    for segment, own in zip(segments, error, strict=True):
+def _less(segments: Sequence[Segment], taken: Array) -> list[Segment]:
+    """Segments as if (m, nj + ne) had not been measured, of all of them."""
+    found, ends = [], np.cumsum([len(s.outputs) for s in segments])[:-1]
+    for segment, own in zip(segments, np.split(taken, ends), strict=True):
         nj = segment.measured.shape[1]
         also = None if segment.also is None else segment.also - own[:, nj:]
         found.append(replace(segment, measured=segment.measured - own[:, :nj], also=also))
