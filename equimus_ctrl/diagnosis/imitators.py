@@ -170,7 +170,7 @@ def imitations(search: HypothesisMoves, state: SearchState, k: int) -> list[Fitt
 
 
 def _converged(search: HypothesisMoves, fitted: Fitted) -> Fitted:
-    """A fit that goes on as long as it gains: laws of many parameters have long valleys."""
+    """A fit that goes on as long as it gains: fits of laws of many parameters are ill-conditioned."""
     for _ in range(ROUNDS):
         after = search.data.converge(fitted)
         if fitted.deviance - after.deviance < CONVERGED_GAIN:

@@ -17,6 +17,7 @@ order that is a search with MuJoCo's. It has to be that once still, at the hypot
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -88,22 +89,31 @@ class Simulated:
         )
 
     def settled(self) -> Simulated:
-        """The same at the hypothesis that its search has come to.
+        """The same at the hypothesis that its search has come to; as it is where that diverges on the way.
 
         Raises:
             BudgetSpent: where the budget ends.
-            SimulationDiverged: where the hypothesis, or it without a part, diverges.
         """
-        again = _taken_off(self.search, self.end, self.raw, self.end.best, self.maker)
+        try:
+            again = _taken_off(self.search, self.end, self.raw, self.end.best, self.maker)
+        except SimulationDiverged:
+            return self
         return replace(again, share=self.share, gain=self.gain)
 
     def without_error(self, split: Split) -> Split:
-        """The trials that are held out, likewise: from where they start the error follows, and by it where they do."""
+        """The trials that are held out, likewise: from where they start the error follows, and by it where they do.
+
+        Where the hypothesis diverges on one, they stay as they were recorded.
+        """
         data, raw = self.search.data, (*split.validation, *split.test)
         held_out: Sequence[Segment] = raw
         off, unsure = _Off.nothing(raw), np.asarray(data.least_noise)
         for _ in range(ROUNDS if raw else 0):
-            error = np.concatenate(_error(data.simulator, self.maker, self.model, held_out))
+            try:
+                error = np.concatenate(_error(data.simulator, self.maker, self.model, held_out))
+            except SimulationDiverged:
+                held_out = raw
+                break
             off = off.towards(error, unsure)
             held_out = _less(raw, off.taken)
             if np.all(np.sqrt(np.mean(off.missed**2, axis=0)) < SETTLED * unsure):
@@ -118,21 +128,20 @@ def simulated(search: Search, end: SearchState) -> Simulated | None:
 
     Raises:
         BudgetSpent: where the budget ends.
-        SimulationDiverged: where a hypothesis diverges that went through before.
     """
     data = search.data
     for fitted in dict.fromkeys((end.best, *end.without)):
         engine = simulation_of(fitted.fit.model, any_law=_noiseless(data, fitted))
         if engine is None or data.simulator.engine.discretisation is not None:
             continue
-        for maker in _makers(data, fitted, engine):
-            shown = _shown(data, fitted, maker)
+        for maker, shown in _makers(data, fitted, engine):
             if shown is None or not data.thresholds.decides(partial(_exceeds, search, shown.gain)):
                 continue
             if abs(shown.share - 1.0) < NEARER:
-                found = _taken_off(search, end, data.segments, fitted, maker)
-                if _once(found):
-                    return replace(found, share=shown.share, gain=shown.gain)
+                with suppress(SimulationDiverged):  # so it cannot be what happened
+                    found = _taken_off(search, end, data.segments, fitted, maker)
+                    if _once(found):
+                        return replace(found, share=shown.share, gain=shown.gain)
     return None
 
 
@@ -150,14 +159,18 @@ class _Shown:
         return (2 * self.share - 1) * self.size
 
 
-def _makers(data: Data, fitted: Fitted, engine: MujocoEngine) -> Iterator[Engine]:
-    """Engines that may have made the recordings."""
-    yield engine
+def _makers(data: Data, fitted: Fitted, engine: MujocoEngine) -> Iterator[tuple[Engine, _Shown | None]]:
+    """Engines that may have made the recordings, and what these show of each."""
     own = _shown(data, fitted, engine)
+    yield engine, own
+    steps = []
     if own is not None and _all_of_it(own) and own.share > SHORTEST:
-        yield replace(engine, dt=own.share * engine.discretisation.step)
+        steps.append(own.share)
     if any(effect.rubs for effect in fitted.fit.model.effects):
-        yield replace(engine, dt=SHORTEST * engine.discretisation.step)
+        steps.append(SHORTEST)
+    for share in steps:
+        other = replace(engine, dt=share * engine.discretisation.step)
+        yield other, _shown(data, fitted, other)
 
 
 def _all_of_it(shown: _Shown) -> bool:
