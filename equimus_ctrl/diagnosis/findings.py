@@ -12,6 +12,7 @@ from scipy.special import chdtrc, chdtri
 
 from equimus_ctrl.diagnosis.alternatives import in_place, replacement
 from equimus_ctrl.diagnosis.confirmation import HoldoutResiduals
+from equimus_ctrl.diagnosis.curved_intervals import curved_ends
 from equimus_ctrl.diagnosis.fitting import Data, Fitted
 from equimus_ctrl.diagnosis.holdout import Split
 from equimus_ctrl.diagnosis.hypothesis import Candidate, Part
@@ -209,16 +210,23 @@ def log_p_value(gain: float, count: int) -> float:
 def estimates_of(data: Data, best: Fitted, k: int) -> dict[str, Estimate]:
     """The parameters of a part of the hypothesis with 95 % intervals [unit of each].
 
-    θ ± t·s by Student's t, see ``identification.uncertainty``, or by profile likelihood where the predictions jump.
-    They are clipped at the parameters' bounds, and ±inf where there is no end.
+    θ ± t·s by Student's t, see ``identification.uncertainty``, or by profile likelihood where the predictions jump, see
+    ``Data.span``, or bend, see ``curved_ends``. They are clipped at the parameters' bounds, and ±inf where there is no
+    end.
+
+    Raises:
+        BudgetSpent: where the budget ends while an interval is profiled.
     """
     first = len(data.free.free) + sum(p.candidate.n_parameters for p in best.hypothesis[:k])
-    estimates = {}
-    for i, own in enumerate(best.hypothesis[k].candidate.parameters):
+    parameters, jumps = best.hypothesis[k].candidate.parameters, data.discontinuous(best.hypothesis)
+    known = np.isfinite(best.fit.uncertainty.half_width)
+    smooth = [i for i in range(first, first + len(parameters)) if known[i] and i not in jumps]
+    ends, estimates = curved_ends(data, best, smooth), {}
+    for i, own in enumerate(parameters):
         free = best.fit.parameters.free[first + i]
         value, width = float(best.fit.theta[first + i]), float(best.fit.uncertainty.half_width[first + i])
-        low, high = value - width, value + width
-        if first + i in data.discontinuous(best.hypothesis):
+        low, high = ends.get((first + i, -1), value - width), ends.get((first + i, 1), value + width)
+        if first + i in jumps:
             low, high = data.span(best, first + i)
         low = max(low, free.low) if math.isfinite(low) else -math.inf
         high = min(high, free.high) if math.isfinite(high) else math.inf

@@ -192,6 +192,12 @@ _ROWS: Mapping[str, tuple[Row, ...]] = {
         ("GRID_NARROWER", 5.0, "looked at", "convention", "grids over parameters in which predictions jump"),
         ("COARSE_TOLERANCE", 10, "looked at", "convention", "where quick fits with coarse derivatives end"),
     ),
+    "diagnosis.curved_intervals": (
+        ("CURVED", 0.2, "method", "convention", "departure of a rise's root from a straight fit's, before refits"),
+        ("CLOSE", 0.05, "method", "convention", "share of the root to which an end is found"),
+        ("FARTHER", 4.0, "method", "convention", "how much farther or nearer an end goes at once"),
+        ("LOOKS", 8, "method", "convention", "refits for one end"),
+    ),
     # --- what is looked for -------------------------------------------------------------------------------------------
     "diagnosis.candidates": (
         ("DELAY_SHARE", 0.2, "looked at", "convention", "longest delay, a bound: at it an effect is not named"),

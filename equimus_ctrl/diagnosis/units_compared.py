@@ -13,6 +13,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from functools import cache, partial
 
 import numpy as np
 
@@ -39,12 +40,13 @@ def differences(search: Search, end: SearchState, split: Split) -> tuple[Differe
     if not (groups := groups_of(search.data.segments)):
         return ()
     apart = Apart(search, end.best)
+    known = cache(partial(estimates_of, apart.data, apart.best))
     of_model = dict.fromkeys(own.name for own in apart.own if own.part is None)
     found = [_of_model(apart, name, groups, split) for name in of_model]
     for k, part in enumerate(end.best.hypothesis):
         candidate = part.candidate
         of_part = [*(name for name, _ in candidate.own), *(candidate.sizes if candidate.absent else ())]
-        found += [_of_part(apart, k, name, groups, split) for name in dict.fromkeys(of_part)]
+        found += [_of_part(apart, k, name, known(k), groups, split) for name in dict.fromkeys(of_part)]
     return tuple(sorted((own for own in found if own is not None), key=lambda own: -own.gain))
 
 
@@ -59,8 +61,10 @@ def _of_model(apart: Apart, name: str, groups: Sequence[str], split: Split) -> D
     return _judged(apart, common, name, None, values, len(own) - 1, split)
 
 
-def _of_part(apart: Apart, k: int, name: str, groups: Sequence[str], split: Split) -> Difference | None:
-    part, known = apart.best.hypothesis[k], estimates_of(apart.data, apart.best, k)
+def _of_part(
+    apart: Apart, k: int, name: str, known: Mapping[str, Estimate], groups: Sequence[str], split: Split
+) -> Difference | None:
+    part = apart.best.hypothesis[k]
     candidate = part.candidate
     own = [pair for pair in candidate.own if pair[0] == name]
     left = tuple(pair for pair in candidate.own if pair not in own)

@@ -118,6 +118,13 @@ class FreeParameters:
                 moved[i] = (theta[k] * moved[i] + theta[i] * change[k]) / moved[k]
         return np.clip(moved, self.low, self.high)
 
+    def held(self, place: int, value: float) -> FreeParameters:
+        """All but one of them, which has a value in the model [unit of the parameter]."""
+        own = self.free[place]
+        values = dict.fromkeys((own.name, *own.also), value)
+        model = self.model.with_groups({own.group: values}) if own.group else self.model.with_parameters(values)
+        return FreeParameters(model, self.free[:place] + self.free[place + 1 :])
+
     def model_at(self, theta: Array) -> Model:
         """The model with these values (p,)."""
         values: dict[str, dict[str, float]] = {"": {}}
