@@ -449,3 +449,17 @@ def test_energy_never_grows(name: str) -> None:
     energy = np.array([sum(k.energy(a, b)) for a, b in zip(q, v, strict=True)])
     assert energy[0] - energy[-1] > 0.015
     assert np.diff(energy).max() < 1e-6
+
+
+def test_a_law_that_is_a_sum_of_others_pushes_and_rubs_as_they_do_together() -> None:
+    sums = []
+    for law in REGISTRY.values():
+        values = {key: 0.2 + 0.3 * k for k, key in enumerate(law.parameter_info())}
+        if not (parts := law.as_sum(values)):
+            continue
+        sums.append(law.name)
+        laws = [(REGISTRY[name], own) for name, own in parts.items()]
+        pushes, rubs = ((lambda own, p: own.force(0.3, 0.7, (), p)), (lambda own, p: own.dry_friction(0.3, 0.7, p)))
+        for does in (pushes, rubs):
+            assert float(does(law, values)) == pytest.approx(sum(float(does(own, p)) for own, p in laws))
+    assert "asymmetric_friction" in sums

@@ -77,6 +77,16 @@ def test_what_cannot_be_told_apart_counts_as_its_group() -> None:
     pair = truth("pair", LAG, RUB)
     two = scored((pair, report(SAID_RUB, group)), (pair, report(group)), (pair, report(group, group)))
     assert [case.in_group("diagnosis") for case in two.cases] == [True, False, False]
+    assert two.ours.pair["all"] == Share(0, 3) and two.ours.pair_group["all"] == Share(1, 3)
+
+
+def test_a_law_that_is_the_sum_of_two_is_not_distinguishable_from_them() -> None:
+    pair = truth("pair", RUB, effect("constant_force", "knee", size=0.1))
+    one = finding("asymmetric_friction", "knee", forward=0.1, backward=0.3)
+    elsewhere = finding("asymmetric_friction", "hip", forward=0.1, backward=0.3)
+    found = scored(*((pair, report(said)) for said in (one, elsewhere)))
+    assert [case.in_group("diagnosis") for case in found.cases] == [True, False]
+    assert not any(case.exact("diagnosis") for case in found.cases)
 
 
 @pytest.mark.parametrize(

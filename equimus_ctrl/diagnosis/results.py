@@ -116,11 +116,13 @@ class Finding:
 
     def to_dict(self) -> dict[str, Any]:
         """As JSON data."""
+        same = self.part.candidate.effect.as_sum({key: own.value for key, own in self.parameters.items()})
         return {
             **self.named.to_dict(),
             "parameters": _estimates(self.parameters),
             "evidence": self.evidence.to_dict(),
             "equivalent": [other.to_dict() for other in self.equivalent],
+            **({"same_as": {name: dict(own) for name, own in same.items()}} if same else {}),
             **({"also_at": list(self.also_at)} if self.also_at else {}),
             **({"undetermined": self.undetermined} if self.undetermined else {}),
             **({"by_group": {group: _estimates(own) for group, own in self.by_group.items()}} if self.by_group else {}),

@@ -191,6 +191,15 @@ class Effect:
         return {} if nothing is None else {next(iter(cls.parameter_info())): nothing}
 
     @classmethod
+    def as_sum(cls, values: Mapping[str, float]) -> Mapping[str, Mapping[str, float]]:
+        """Other effects that at the same place together are the same law: their names and parameters; none by default.
+
+        Args:
+            values: of its own parameters.
+        """
+        return {}
+
+    @classmethod
     def degenerate(cls, values: Mapping[str, float], excitation: Excitation) -> bool:
         """Whether these parameter values strain its law so far that any generalised force would fit as well.
 

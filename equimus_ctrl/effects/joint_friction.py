@@ -15,8 +15,9 @@ import numpy as np
 
 from equimus_ctrl.effects.base import parameter, register
 from equimus_ctrl.effects.description import CURVE_POINTS, Curve, Description
+from equimus_ctrl.effects.drives import ConstantForce
 from equimus_ctrl.effects.excitation import Excitation
-from equimus_ctrl.effects.force import ForceEffect, Parameters
+from equimus_ctrl.effects.force import CoulombFriction, ForceEffect, Parameters
 from equimus_ctrl.effects.memory import presliding
 from equimus_ctrl.effects.native import add_constant_force
 from equimus_ctrl.effects.sizes import Share
@@ -238,6 +239,14 @@ class AsymmetricFriction(ForceEffect):
         ]
 
     @classmethod
+    def as_sum(cls, values: Mapping[str, float]) -> Mapping[str, Mapping[str, float]]:
+        forward, backward = values["forward"], values["backward"]
+        return {
+            CoulombFriction.name: {"friction": (forward + backward) / 2},
+            ConstantForce.name: {"size": (backward - forward) / 2},
+        }
+
+    @classmethod
     def force(cls, x: ca.SX, rate: ca.SX, z: Sequence[ca.SX], p: Parameters) -> ca.SX:
         return (p["backward"] - p["forward"]) / 2
 
@@ -259,7 +268,10 @@ class AsymmetricFriction(ForceEffect):
     @classmethod
     def sentence(cls, t: Description) -> str:
         sizes = f"{t['forward']} forwards and {t['backward']} backwards"
-        return f"Dry friction at {t.the} differs between directions: {sizes}."
+        unit = t.unit("forward")
+        mean, rest = ((t.value("backward") + sign * t.value("forward")) / 2 for sign in (1, -1))
+        same = f"dry friction of {t.quantity(mean, unit)} with a constant force of {t.quantity(rest, unit)}"
+        return f"Dry friction at {t.the} differs between directions: {sizes}. That is the same as {same}."
 
 
 @register

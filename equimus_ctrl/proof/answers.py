@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from equimus_ctrl.effects.base import REGISTRY
 from equimus_ctrl.robots.base import Robot
 
 STRONG = 0.3
@@ -74,14 +75,27 @@ class Places:
         return named["effect"], frozenset(self.same(location) for location in named["locations"])
 
     def in_group(self, wanted: Parts, findings: Sequence[Mapping[str, Any]]) -> bool:
-        """Whether findings are right, each by itself or by one that is not distinguishable from it."""
-        if self.parts(findings) == dict(wanted):
+        """Whether findings are right, each by itself or by one that is not distinguishable from it.
+
+        A law that is the sum of others is the same as these, see ``Effect.as_sum``.
+        """
+        if self.parts(findings) == dict(wanted) or _summands(self.parts(findings)) == _summands(wanted):
             return True
         options = [{self._key(f), *(self._key(e) for e in f.get("equivalent", ()))} for f in findings]
         if len(options) != len(wanted):
             return False
         orders = itertools.permutations(wanted.items())
         return any(all(key in own for key, own in zip(order, options, strict=True)) for order in orders)
+
+
+def _summands(parts: Parts) -> dict[str, frozenset[str]]:
+    """The same with the effects of which a law is the sum in its place."""
+    found: dict[str, frozenset[str]] = {}
+    for effect, where in parts.items():
+        law = REGISTRY[effect]
+        for name in law.as_sum(dict.fromkeys(law.parameter_info(), 0.0)) or (effect,):
+            found[name] = found.get(name, frozenset()) | where
+    return found
 
 
 @dataclass(frozen=True, eq=False)

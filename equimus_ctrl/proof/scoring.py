@@ -140,6 +140,7 @@ class Score:
             _counted("single", "single effects right", t.single["strong"], LEAST_SINGLE),
             _counted("single_group", "… or not distinguishable", t.group["strong"], LEAST_GROUP),
             _counted("pair", "pairs exactly right", t.pair["strong"], LEAST_PAIR),
+            _counted("pair_group", "… or not distinguishable", t.pair_group["strong"], LEAST_PAIR),
             _counted("outside", "outside: unexplained, placed", t.outside["strong"], LEAST_OUTSIDE),
             *self._of_all_joints,
             _median_goal("main_error", "median error, main parameters", main, 0.0, MOST_ERROR),

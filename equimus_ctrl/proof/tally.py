@@ -32,6 +32,7 @@ class Tally:
         misplaced: strong single effects named right, but at other places.
         with_unexplained: of the single effects named exactly right, beside which something was called unexplained.
         pair: sets exactly right: all, those of which each part alone is strong, and by the weaker one's excess.
+        pair_group: those, or of which each is one that the method calls not distinguishable.
         recall: of the effects in pairs, all and those strong alone, that were named.
         precision: of what was named in pairs, that was there.
         outside: called unexplained and put where it acts: all, strong ones, and by excess.
@@ -50,6 +51,7 @@ class Tally:
     misplaced: Share
     with_unexplained: Share
     pair: Table
+    pair_group: Table
     recall: Table
     precision: Share
     outside: Table
@@ -107,6 +109,7 @@ def tally(cases: Sequence[Case], method: Method = OURS) -> Tally:
         Share.among(set(c.named(method)) == set(c.wanted) and not exact(c) for c in strong),
         Share.among(bool(c.answer(method).unexplained) for c in single if exact(c)),
         by_strength(pair, exact),
+        by_strength(pair, lambda c: c.in_group(method)),
         {"all": _recall(pair, method, 0.0), "strong": _recall(pair, method, STRONG)},
         Share.among(c.wanted.get(e) == where for c in pair for e, where in c.named(method).items()),
         by_strength(outside, lambda c: c.unexplained(method) and c.placed(method)),
