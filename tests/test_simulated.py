@@ -10,13 +10,17 @@ import pytest
 from pendulum_runs import MOTOR, PENDULUM
 
 from equimus_ctrl import workflow
+from equimus_ctrl.diagnosis import simulated as simulated_module
 from equimus_ctrl.diagnosis.diagnose import DiagnosisSettings
 from equimus_ctrl.diagnosis.diagnose import _with_default_engine as with_default_engine
 from equimus_ctrl.diagnosis.holdout import split
 from equimus_ctrl.diagnosis.hypothesis import default_free_parameters
 from equimus_ctrl.diagnosis.results import Diagnosis
+from equimus_ctrl.diagnosis.search import Search
+from equimus_ctrl.diagnosis.search_state import SearchState
 from equimus_ctrl.diagnosis.simulated import _shown as shown_of
 from equimus_ctrl.engines.choice import simulation_of
+from equimus_ctrl.errors import SimulationDiverged
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.robots.mjcf.robot import MjcfRobot
 from equimus_ctrl.types import Recording
@@ -77,6 +81,24 @@ def test_recordings_of_a_finer_step_show_as_much_of_it_as_their_own_step_has() -
         assert shown == pytest.approx(1 / divided, abs=0.02)
     shown, error = refitted(32, 1e-3)
     assert abs(shown) < 1 / 32 + 3 * error
+
+
+def test_a_hypothesis_that_diverges_where_the_error_is_taken_off_ends_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    parts = split(ARM, recorded(1e-3), validation=["t2"])
+    data = with_default_engine(default_free_parameters(ARM), parts, DiagnosisSettings(threads=1))
+    search, base = Search(data, ()), data.base()
+    made = simulated_module.simulated(search, SearchState(base, base))
+    assert made is not None
+
+    def diverges(*args: object) -> None:
+        raise SimulationDiverged("it diverges")
+
+    for error in ("_error", "_error_at"):
+        monkeypatch.setattr(simulated_module, error, diverges)
+    assert simulated_module.simulated(search, SearchState(base, base)) is None
+    assert made.settled() is made
+    held_out = made.without_error(parts).validation
+    assert [own.measured.tolist() for own in held_out] == [own.measured.tolist() for own in parts.validation]
 
 
 def diagnosed(*args: float, **options: float) -> Diagnosis:

@@ -270,8 +270,10 @@ def simulation_of(model: Model, any_law: bool = True) -> MujocoEngine | None:
         any_law: whether its effects may have states; else None where one has, for that is compiled by itself.
     """
     usual = stepped_laws(()) == stepped_laws(model.effects)
-    if model.robot.traits.catalogue != "mjcf" or not (any_law or usual):
-        return None
+    return SIMULATIONS_OF[model.robot.traits.catalogue](model) if any_law or usual else None
+
+
+def _simulation_of_mjcf(model: Model) -> MujocoEngine:
     return MujocoEngine(mjcf_of(model.robot), reason="it made the recordings", hard_friction=False)
 
 
@@ -280,3 +282,8 @@ ENGINES_OF: dict[Robots, Callable[[Model, EngineName | None, float | None, Seque
     "mjcf": _engine_of_mjcf,
 }
 """Kind of robots (``RobotTraits.catalogue``) → which of its engines simulates a model."""
+SIMULATIONS_OF: dict[Robots, Callable[[Model], MujocoEngine | None]] = {
+    "elastic": lambda model: None,
+    "mjcf": _simulation_of_mjcf,
+}
+"""Kind of robots → what simulates their XML by itself."""
