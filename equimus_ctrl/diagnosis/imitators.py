@@ -52,7 +52,7 @@ def with_imitators(search: HypothesisMoves, state: SearchState) -> SearchState:
     """
     if not search.settings.many_minima:
         return state
-    for _ in range(search.settings.contests):
+    for _ in range(search.settings.rounds_per_part * search.settings.most_parts):
         better, tried = _better(search, state)
         state = replace(state, tried=tried)
         if better is None:
@@ -90,11 +90,15 @@ def _two_in_place(
         search: that ended.
         state: its end.
         k: the part's place.
-        fits: others in its place, beside those of the state.
+        fits: others in its place, beside those of the state and all that were fitted on the way.
     """
     best, tried = state.best, state.tried
     rich, without = best.hypothesis[k].candidate.n_parameters, state.without[k]
-    others = [*fits, *(state.alternatives[k] if state.alternatives else ())]
+    rest = best.labels - {best.hypothesis[k].candidate.label}
+    alone = [
+        fit for fit in tried.fitted if fit.labels > rest and len(fit.labels - rest) == 1 and fit.labels != best.labels
+    ]
+    others = [*fits, *(state.alternatives[k] if state.alternatives else ()), *alone]
     own = without.n_parameters + rich
 
     def near(other: Fitted) -> bool:
