@@ -276,7 +276,9 @@ class Search(HypothesisMoves):
         if best.hypothesis:
             return False
         added = top.hypothesis[-1].candidate
-        expected = max((own.gain for own in tried.first if own.candidate.label == added.label), default=math.inf)
+        expected = max(
+            (own.gains.estimated for own in tried.first if own.candidate.label == added.label), default=math.inf
+        )
         return self.data.thresholds.decides(lambda t: expected < self.threshold(added.n_parameters, t))
 
     def _beside_runners_up(self, state: SearchState) -> tuple[list[Fitted], SearchHistory]:
