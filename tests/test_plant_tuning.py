@@ -106,6 +106,24 @@ def test_a_search_begins_with_placed_gains_slow_enough_for_every_robot(problem: 
     assert set(said.first.values.values()) == {1.0}
 
 
+def test_what_a_servo_overshoots_by_itself_is_no_candidate_s_doing() -> None:
+    """A servo without friction of damping ratio ζ goes exp(−πζ/√(1 − ζ²)) beyond; one that is damped goes nowhere."""
+    servo = """<mujoco><option timestep="0.002" gravity="0 0 0"/><worldbody><body><joint name="slide" type="slide" axis="1 0 0"
+      range="0 0.4" damping="{damping}"/><inertial mass="0.5" pos="0 0 0" diaginertia="1e-3 1e-3 1e-3"/></body></worldbody>
+      <actuator><position name="slide" joint="slide" kp="50" ctrlrange="0 0.4"/></actuator></mujoco>"""
+    found = {}
+    for ratio in (0.2, 0.8):
+        robot = MjcfRobot("gripper", servo.format(damping=2 * ratio * np.sqrt(50 * 0.5)))
+        alone = replace(STUDY.ensemble, members=1, damping=0.0, mass=0.0, delay=(0.0, 0.0))
+        study = replace(quick(), ensemble=alone)
+        scenarios = [workflow.load_scenario(o.scenario, robot, search=False) for o in study.objectives]
+        own = make_plant_problem(study, Model(robot), scenarios)
+        found[ratio] = own.limits.overshoot
+    beyond = np.exp(-np.pi * 0.2 / np.sqrt(1 - 0.2**2))
+    assert study.limits.overshoot < beyond and found[0.2] == pytest.approx(1.1 * beyond, rel=0.02)
+    assert found[0.8] == study.limits.overshoot
+
+
 def test_placed_gains_are_stable_on_the_ensemble_and_wild_ones_are_refused(problem: PlantProblem) -> None:
     wilder, wildest = problem.candidate(np.array([1.0, 1.0, 40.0, 0.3])), problem.candidate(np.full(4, 40.0))
     good, wild = problem.evaluations([problem.first, wilder], Workers())

@@ -25,12 +25,12 @@ from equimus_ctrl.errors import ConfigError, ControllerError, NotAvailable, Simu
 from equimus_ctrl.models.dynamics import Dynamics
 from equimus_ctrl.models.model import Model, model_to_dict
 from equimus_ctrl.plants.mujoco_plant import MujocoPlant
-from equimus_ctrl.robots.reading import reading
 from equimus_ctrl.scenarios.scenario import Scenario
 from equimus_ctrl.simulate import run
 from equimus_ctrl.tuning.autotune import UNSEEN, best_feasible, source, time_is_up
 from equimus_ctrl.tuning.ensemble import later, make_members
 from equimus_ctrl.tuning.objective import BAND, TERMS, Evaluation, LegOutcome, Outcome, judged
+from equimus_ctrl.tuning.overshoot import ServosAlone, as_hinges, overshoots, servos_of
 from equimus_ctrl.tuning.result import TuningResult, versions
 from equimus_ctrl.tuning.search import Journal, Search, Trial
 from equimus_ctrl.tuning.study import Limits, PlantStudy, Weights
@@ -156,10 +156,14 @@ class PlantProblem:
             task: what it does.
             start: in place of the scenario's.
         """
+        return self.run_of(self.made(candidate), member, task, start)
+
+    def run_of(self, controller: Controller, member: Model, task: PlantTask, start: Start | None = None) -> Run:
+        """The same of any controller."""
         scenario = task.scenario
         try:
             return run(
-                self.plant(member), self.made(candidate), scenario.reference, task.duration,
+                self.plant(member), controller, scenario.reference, task.duration,
                 start=start or scenario.start, seed=self.seed,
             )  # fmt: skip
         except SimulationDiverged as error:
@@ -174,16 +178,11 @@ class PlantProblem:
         dt = done.spec.control_dt
         if len(done.time) < round(task.duration / dt) or done.truth is None:
             return LOST
-        scale = np.array([math.radians(reading(unit).factor) for unit in done.spec.joint_units])[self.driven]
-        error = scale * (done.truth - done.reference)[:, self.driven]
+        error = (as_hinges(done.spec) * (done.truth - done.reference))[:, self.driven]
         overshoot, settling, offset, restless = 0.0, 0.0, 0.0, 0.0
         if task.scenario.step_at is not None:
-            begins = round(task.scenario.step_at / dt)
-            after, wanted = error[begins:], done.reference[:, self.driven]
-            way = scale * (wanted[-1] - (wanted[begins - 1] if begins else done.truth[0, self.driven]))
-            size = np.maximum(np.abs(way), BAND)
-            beyond = np.where(np.abs(way) > BAND, after * np.sign(way), np.abs(after))
-            overshoot = float(np.max(beyond.max(axis=0) / size, initial=0.0))
+            overshoot = float(np.max(overshoots(done, task.scenario.step_at)[self.driven], initial=0.0))
+            after = error[round(task.scenario.step_at / dt) :]
             outside = np.flatnonzero(np.any(np.abs(after) > self.weights.settled, axis=1))
             settling = 0.0 if len(outside) == 0 else float((outside[-1] + 1) * dt)
             last = slice(-(len(after) // 4), None)
@@ -194,6 +193,22 @@ class PlantProblem:
         chatter = float(np.abs(np.diff(u, axis=0)).mean()) / dt
         terms = np.array([math.sqrt(float((error**2).mean())), max(overshoot, 0.0), settling, offset, effort, chatter])
         return Outcome(terms, float(done.clipped.mean()), restless, False)
+
+    def servos_alone(self) -> float:
+        """The largest overshoot, as a share of the step, of joints whose servos get the reference as their goal.
+
+        That is none of a candidate's doing. Other actuators are driven as by the first candidate.
+        """
+        robot = self.model.robot
+        moved = np.isin(robot.joint_names, [*set[str]().union(*map(robot.driven_joints, servos_of(robot)))])
+        controller, largest = ServosAlone(self.made(self.first), robot), 0.0
+        for member, starts in zip(self.members, self.starts, strict=True) if moved.any() else ():
+            for task, start in zip(self.tasks, starts, strict=True):
+                if task.scenario.step_at is not None:
+                    done = self.run_of(controller, member, task, start)
+                    if done.truth is not None and len(done.time) > round(task.scenario.step_at / done.spec.control_dt):
+                        largest = max(largest, float(overshoots(done, task.scenario.step_at)[moved].max()))
+        return largest
 
     def moduli(self, candidate: Candidate, member: Model) -> tuple[float, float]:
         """Largest eigenvalue of a robot's linearised loops, as they are and with all gains raised; 0 of none."""
@@ -323,6 +338,8 @@ SLOWER, SLOWINGS = 2**-0.25, 9
 """Factor on the speed of loops that are too fast to begin with, and how many speeds are tried: down to a quarter."""
 CHEAPER = 0.1
 """Share by which a candidate is thought to be cheaper on a robot than any before it, where it was not tried there."""
+SERVOS_MORE = 0.1
+"""Share by which joints may overshoot more than with their servos alone, where these overshoot more than the limit."""
 NOT_RUN = Outcome(np.full(len(TERMS), math.nan), math.nan, 0.0, False)
 """Of a run that was not made."""
 LOST = Outcome(np.full(len(TERMS), math.inf), 1.0, math.inf, True)
@@ -371,6 +388,8 @@ def make_plant_problem(
     brief = replace(tasks[0], duration=min(tasks[0].duration, TRIED * problem.control_dt))
     problem.driven_by(problem.first, model, brief)
     problem = replace(problem, starts=[problem.begun(member) for member in members])
+    most = max(study.limits.overshoot, (1 + SERVOS_MORE) * problem.servos_alone())
+    problem = replace(problem, limits=replace(study.limits, overshoot=most))
     if bounded.all():
         return problem
     used = np.vstack([problem.driven_by(problem.first, members[0], task).command for task in tasks])
@@ -449,7 +468,8 @@ class PlantTuning(TuningResult):
     def record(self) -> dict[str, Any]:
         """Everything worth keeping, in plain types."""
         searched = {"first": dict(self.start.values), "tuned": dict(self.settings.values)}
-        return {**super().record(), "controller": self.problem.controller, "searched": searched}
+        limits = asdict(self.problem.limits)
+        return {**super().record(), "controller": self.problem.controller, "searched": searched, "limits": limits}
 
 
 def tune_on_plant(
