@@ -436,15 +436,11 @@ class HypothesisMoves(Scoring):
         Where none was, the state has all fits without a part and with another in its place. Nothing is tried in a
         part's place beside one that is not needed: that takes much longer than to find out which are.
         """
-        best, tried = state.best, state.tried
-        without: list[Fitted] = []
+        needed = self._without_each(state)
+        if needed.best is not state.best:
+            return needed, True
+        best, without, tried = state.best, needed.without, needed.tried
         alternatives: list[tuple[Fitted, ...]] = []
-        for k, part in enumerate(best.hypothesis):
-            self.notify(f"without {part.candidate.label}", best.label)
-            rest, tried = self.refit(tried, best, best.hypothesis[:k] + best.hypothesis[k + 1 :])
-            if not self.accepts(rest, best):
-                return replace(state, best=rest, without=(), alternatives=(), tried=tried), True
-            without.append(rest)
         for part, rest in zip(best.hypothesis, without, strict=True):
             self.notify(f"in the place of {part.candidate.label}", best.label)
             others, tried = self.challenge(tried, rest, part.candidate.label, best)
@@ -454,7 +450,31 @@ class HypothesisMoves(Scoring):
             top = next((o for o in sorted(better, key=self.score) if not self.aliased(o)), None)
             if top is not None:
                 return replace(state, best=top, without=(), alternatives=(), tried=tried), True
-        return replace(state, best=best, without=tuple(without), alternatives=tuple(alternatives), tried=tried), False
+        return replace(state, best=best, without=without, alternatives=tuple(alternatives), tried=tried), False
+
+    def needed(self, state: SearchState) -> SearchState:
+        """Parts that are not needed dropped, one by one.
+
+        Raises:
+            BudgetSpent: where the budget ends.
+            SimulationDiverged: where a hypothesis without one of its parts diverges.
+        """
+        while (after := self._without_each(state)).best is not state.best:
+            state = after
+        return after
+
+    def _without_each(self, state: SearchState) -> SearchState:
+        """The first part that is not needed dropped; where all are, the same with the fits without each of them."""
+        best, tried = state.best, state.tried
+        without: list[Fitted] = []
+        for k, part in enumerate(best.hypothesis):
+            self.notify(f"without {part.candidate.label}", best.label)
+            rest, tried = self.refit(tried, best, best.hypothesis[:k] + best.hypothesis[k + 1 :])
+            if not self.accepts(rest, best):
+                return replace(state, best=rest, without=(), alternatives=(), tried=tried)
+            without.append(rest)
+        alternatives = tuple(() for _ in without)
+        return replace(state, best=best, without=tuple(without), alternatives=alternatives, tried=tried)
 
     def refitted(
         self, tried: SearchHistory, fitted: Fitted, hypothesis: Hypothesis
