@@ -303,18 +303,19 @@ def _another(
         if len(fitted.hypothesis) > search.settings.most_parts:
             continue
         looked_at.add(fitted.labels)
-        moved = search.moved(state, search.data.converge(fitted))
-        state = replace(state, tried=moved.tried)
-        holdout = HoldoutResiduals(search.data, split, moved)
+        best = search.data.converge(fitted)
+        holdout = HoldoutResiduals(search.data, split, replace(state, best=best))
         confirmations: list[Confirmation] = []
-        for without in moved.without:
-            if not search.accepts(without, moved.best):
+        for k in range(len(best.hypothesis)):
+            without, tried = search.refit(state.tried, best, (*best.hypothesis[:k], *best.hypothesis[k + 1 :]))
+            state = replace(state, tried=tried)
+            if not search.accepts(without, best):
                 break
-            confirmations.append(confirmation_of(search, holdout, without, moved.best))
+            confirmations.append(confirmation_of(search, holdout, without, best))
             if not confirms(search, confirmations[-1]):
                 break
         else:
-            return moved, tuple(confirmations)
+            return search.moved(state, best), tuple(confirmations)
     return state, ()
 
 

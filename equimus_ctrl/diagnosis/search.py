@@ -131,13 +131,26 @@ class Search(HypothesisMoves):
 
         Of many joints that all rub, laws come together or not at all: one by one each is hidden by the others.
         """
+        if self.torque_domain is None:
+            return
+        self.notify("what the measured torques ask for", state.best.label)
+        if (start := self.asked_for(state.base)) is not None:
+            yield from self.beginnings(state.base, start)
+
+    def asked_for(self, base: Fitted) -> Fitted | None:
+        """The laws that measured torques ask for, fitted; None where they ask for none, or simulation for none of them.
+
+        Args:
+            base: the model without effects, refitted.
+
+        Raises:
+            BudgetSpent: where the budget ends.
+        """
         domain, most = self.torque_domain, self.settings.most_parts
         asked = None if domain is None else laws_asked_for(self.data, domain, self.pool, most)
-        if domain is None or asked is None:
-            return
-        hypothesis, theta = asked
-        self.notify("what the measured torques ask for", state.best.label)
-        data, base = self.data, state.base
+        if asked is None:
+            return None
+        (hypothesis, theta), data = asked, self.data
         begins = [
             (data.theta_of(theta, hypothesis), [s.start for s in data.segments]),
             (data.theta_of(base.fit.theta, hypothesis), base.fit.starts),
@@ -146,12 +159,11 @@ class Search(HypothesisMoves):
             noise = white_noise(base.fit.residuals)
             start = data.coarse_fit(hypothesis, begins, noise, self.settings.long_steps)
             if start.deviance > base.deviance:  # far from any minimum: it holds the model without effects too
-                return
+                return None
             start = data.converge(self._enriched(start, self.pool))
         except SimulationDiverged:  # so it cannot be what happened
-            return
-        if self.accepts(base, start):
-            yield from self.beginnings(base, start)
+            return None
+        return start if self.accepts(base, start) else None
 
     def _enriched(self, fitted: Fitted, pool: Sequence[Candidate]) -> Fitted:
         """A hypothesis, or a better one with a richer law in a part's place: too simple a law makes others look needed.

@@ -91,10 +91,17 @@ class Simulated:
     def settled(self) -> Simulated:
         """The same at the hypothesis that its search has come to; as it is where that diverges on the way.
 
+        Nothing is fitted again where that hypothesis has the error that was taken off.
+
         Raises:
             BudgetSpent: where the budget ends.
         """
+        data, best = self.search.data, self.end.best
+        taken = np.concatenate([r.outputs - s.outputs for r, s in zip(self.raw, data.segments, strict=True)])
         try:
+            missed = np.concatenate(_error_at(data.simulator, self.maker, best, data.segments)) - taken
+            if _small(missed, best):
+                return replace(self, model=best.fit.model)
             again = _taken_off(self.search, self.end, self.raw, self.end.best, self.maker)
         except SimulationDiverged:
             return self
@@ -267,13 +274,22 @@ def _taken_off(search: Search, end: SearchState, raw: Sequence[Segment], fitted:
         data = replace(data, segments=_less(raw, off.taken), least_noise=unsure)
         begun = data.coarse_fit(fitted.hypothesis, [fitted.begin], fitted.noise, search.settings.long_steps)
         fitted = data.converge(begun)
-        if float(np.sqrt(np.mean((off.missed / [joint.sigma for joint in fitted.noise]) ** 2))) < SETTLED:
+        if _small(off.missed, fitted):
             break
     search = replace(search, data=data)
     tried = SearchHistory(first=end.tried.first, rejected=end.tried.rejected)
     base = search.refit(tried, fitted, ())[0] if fitted.hypothesis else fitted
-    after = search.beginning(base, fitted) if fitted.hypothesis else SearchState(base, base, tried=tried)
+    if not fitted.hypothesis:
+        return Simulated(search, SearchState(base, base, tried=tried), raw, maker, 1.0, 0.0, fitted.fit.model)
+    # With the step's error in them, torques may have asked for other laws.
+    starts = [fitted, *(own for own in (search.asked_for(base),) if own is not None)]
+    after = search.beginning(base, min(starts, key=search.score))
     return Simulated(search, after, raw, maker, 1.0, 0.0, fitted.fit.model)
+
+
+def _small(missed: Array, fitted: Fitted) -> bool:
+    """Whether what (m, nj + ne) is missed of the error is next to nothing beside a fit's noise."""
+    return float(np.sqrt(np.mean((missed / [joint.sigma for joint in fitted.noise]) ** 2))) < SETTLED
 
 
 def _error_at(own: Simulator, maker: Engine, fitted: Fitted, segments: Sequence[Segment]) -> list[Array]:
