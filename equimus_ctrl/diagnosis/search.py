@@ -11,6 +11,7 @@ The moves:
     split      a law alike at several places → one at each                 ``extensions``, of what it extends
     merge      laws at single places → one alike at several                ``extensions``: it drops what it excludes
     enrich     a law → one that holds it as a special case                 ``extensions``, where minima are many
+    widen      a law at some places → one with a size of its own at each     ``_widened``
     narrow     a law alike at several places → at one place less           ``narrowed``, ``exchanged_beside_fewer``
     prune      a law with its own parameters at each place → where needed  ``pruned``
     unite      several laws → one that explains as much                    ``with_fewer_laws``, then pruned, simplified
@@ -131,26 +132,13 @@ class Search(HypothesisMoves):
 
         Of many joints that all rub, laws come together or not at all: one by one each is hidden by the others.
         """
-        if self.torque_domain is None:
-            return
-        self.notify("what the measured torques ask for", state.best.label)
-        if (start := self.asked_for(state.base)) is not None:
-            yield from self.beginnings(state.base, start)
-
-    def asked_for(self, base: Fitted) -> Fitted | None:
-        """The laws that measured torques ask for, fitted; None where they ask for none, or simulation for none of them.
-
-        Args:
-            base: the model without effects, refitted.
-
-        Raises:
-            BudgetSpent: where the budget ends.
-        """
         domain, most = self.torque_domain, self.settings.most_parts
         asked = None if domain is None else laws_asked_for(self.data, domain, self.pool, most)
-        if asked is None:
-            return None
-        (hypothesis, theta), data = asked, self.data
+        if domain is None or asked is None:
+            return
+        hypothesis, theta = asked
+        self.notify("what the measured torques ask for", state.best.label)
+        data, base = self.data, state.base
         begins = [
             (data.theta_of(theta, hypothesis), [s.start for s in data.segments]),
             (data.theta_of(base.fit.theta, hypothesis), base.fit.starts),
@@ -159,11 +147,12 @@ class Search(HypothesisMoves):
             noise = white_noise(base.fit.residuals)
             start = data.coarse_fit(hypothesis, begins, noise, self.settings.long_steps)
             if start.deviance > base.deviance:  # far from any minimum: it holds the model without effects too
-                return None
+                return
             start = data.converge(self._enriched(start, self.pool))
         except SimulationDiverged:  # so it cannot be what happened
-            return None
-        return start if self.accepts(base, start) else None
+            return
+        if self.accepts(base, start):
+            yield from self.beginnings(base, start)
 
     def _enriched(self, fitted: Fitted, pool: Sequence[Candidate]) -> Fitted:
         """A hypothesis, or a better one with a richer law in a part's place: too simple a law makes others look needed.

@@ -303,11 +303,7 @@ def _begun(search: Search, end: SearchState, fitted: Fitted, maker: Engine) -> S
     search, fitted = _taken_off(search, raw, fitted, maker, _Off.nothing(raw))
     tried = SearchHistory(first=end.tried.first, rejected=end.tried.rejected)
     base = search.refit(tried, fitted, ())[0] if fitted.hypothesis else fitted
-    if not fitted.hypothesis:
-        return Simulated(search, SearchState(base, base, tried=tried), raw, maker, 1.0, 0.0, fitted.fit.model)
-    # With the step's error in them, torques may have asked for other laws.
-    starts = [fitted, *(own for own in (search.asked_for(base),) if own is not None)]
-    after = search.beginning(base, min(starts, key=search.score))
+    after = search.beginning(base, fitted) if fitted.hypothesis else SearchState(base, base, tried=tried)
     return Simulated(search, after, raw, maker, 1.0, 0.0, fitted.fit.model)
 
 

@@ -44,10 +44,10 @@ def laws_asked_for(
 ) -> tuple[Hypothesis, Array] | None:
     """The laws that the missing forces of the nominal model ask for, and θ of the model's parameters with them.
 
-    By forward selection: each the one with the best information criterion beside those before it, as long as anything
-    is missing above the noise, and it lowers that by ``START_SHARE`` and by more than chance would. None where no law
-    does. Where they leave far more than noise explains, it is repeated with guesses fitted in the torque domain, see
-    ``torque_guesses``, and what leaves less is taken.
+    By forward selection: each the one with the best information criterion beside those before it, as long as it lowers
+    what is missing above the noise by ``START_SHARE`` and by more than chance would. None where no law does. Where they
+    leave far more than noise explains, it is repeated with guesses fitted in the torque domain, see ``torque_guesses``,
+    and what leaves less is taken.
 
     Args:
         data: what was measured.
@@ -107,7 +107,7 @@ def _selected(
         tried = [(screen.fitted(whole)[0], whole) for whole in options]
         chi2, best = _simplest(tried, price, now) if tried else (now, chosen)
         gain, above = now - chi2, now - screen.samples * CORRELATED
-        if above <= 0 or gain < START_SHARE * above or not _more_than_chance(data, gain, pool):
+        if not _more_than_chance(data, gain, pool) or gain < START_SHARE * above:
             break
         if gain / CORRELATED <= price * (_count(best) - _count(chosen)):
             break
