@@ -11,7 +11,7 @@ import pytest
 from equimus_ctrl.diagnosis.candidates import location_groups
 from equimus_ctrl.diagnosis.fitting import Data, Fitted
 from equimus_ctrl.diagnosis.hypothesis import Candidate, Part, default_free_parameters
-from equimus_ctrl.diagnosis.hypothesis_moves import HypothesisMoves
+from equimus_ctrl.diagnosis.wider_laws import wider
 from equimus_ctrl.effects import REGISTRY
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.robots.mjcf.robot import MjcfRobot
@@ -34,7 +34,7 @@ def widened(*parts: Part, pool: list[Candidate]) -> Any:
     data = Data(free, (), None)  # type: ignore[arg-type]
     values = [value for part in parts for value in part.values.values()]
     fit: Any = SimpleNamespace(theta=np.array([*free.start, *values]), starts=())
-    return HypothesisMoves(data, pool)._widened(Fitted(parts, fit, (), 0.0), pool)
+    return list(wider(data, Fitted(parts, fit, (), 0.0), pool))
 
 
 @pytest.mark.parametrize("places", [("j2",), ("j1",)])
@@ -44,11 +44,10 @@ def test_a_law_at_one_joint_is_begun_at_all_from_its_size_there(places: tuple[st
     wide = Candidate(effect, JOINTS, ({f"{j}.friction": 0.3 for j in JOINTS},), each=True)
     part = Part(Candidate(effect, places, ({"friction": 0.3},)), {"friction": 0.07})
     other = Part(Candidate(REGISTRY["sensor_offset"], ("j1",), ({"offset": 0.1},)), {"offset": 0.02})
-    (proposal,) = widened(other, part, pool=[wide])
-    assert [p.candidate.label for p in proposal.hypothesis] == [other.candidate.label, wide.label]
-    assert proposal.hypothesis[1].values == {f"{j}.friction": 0.07 if j in places else 0.3 for j in JOINTS}
-    ((theta, _),) = proposal.begins
-    assert theta[-4:] == pytest.approx([0.02, *proposal.hypothesis[1].values.values()])
+    ((hypothesis, ((theta, _),)),) = widened(other, part, pool=[wide])
+    assert [p.candidate.label for p in hypothesis] == [other.candidate.label, wide.label]
+    assert hypothesis[1].values == {f"{j}.friction": 0.07 if j in places else 0.3 for j in JOINTS}
+    assert theta[-4:] == pytest.approx([0.02, *hypothesis[1].values.values()])
 
 
 def test_nothing_is_widened_to_a_single_joint_more() -> None:

@@ -9,13 +9,12 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence, Set
 from dataclasses import dataclass, field, replace
-from functools import cache, cached_property, partial
+from functools import cached_property, partial
 from typing import Literal
 
 import numpy as np
 
 from equimus_ctrl.diagnosis.alternatives import indistinguishable, listed, simpler_laws
-from equimus_ctrl.diagnosis.block_scatter import BlockScatter, block_scatter, stands_out
 from equimus_ctrl.diagnosis.fitting import Data, Fitted, chi_squared
 from equimus_ctrl.diagnosis.holdout import Split, kind_of
 from equimus_ctrl.diagnosis.hypothesis import parameters_of
@@ -347,19 +346,11 @@ def confirmation_of(search: Search, holdout: HoldoutResiduals, simple: Fitted, r
 
 def _lost_in_scatter(search: Search, simple: Fitted, rich: Fitted) -> Confirmation | None:
     """Why a gain is within the scatter of the residuals; None where it stands out from it, or they are noise alone."""
-    more = extra_parameters(simple, rich)
-
-    @cache
-    def scatter(blocks: int) -> BlockScatter:
-        return block_scatter(search.data.times, simple, rich, blocks)
-
-    def over_needed(t: Thresholds) -> float:
-        return stands_out(scatter(round(t.blocks)), more, len(search.pool), t)
-
-    thresholds = search.data.thresholds
+    over_needed, thresholds = partial(search.over_scatter, simple, rich), search.data.thresholds
     if thresholds.decides(lambda t: over_needed(t) >= 1):
         return None
-    return Confirmation("scatter", scatter(round(thresholds.blocks)).dispersion, stands_out=over_needed)
+    dispersion = search.scatter_beside(simple, rich, thresholds).dispersion
+    return Confirmation("scatter", dispersion, stands_out=over_needed)
 
 
 def _not_in_torques(search: Search, simple: Fitted, rich: Fitted) -> Confirmation | None:

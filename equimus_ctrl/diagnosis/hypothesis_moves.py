@@ -13,7 +13,7 @@ from equimus_ctrl import computer
 from equimus_ctrl.diagnosis.compensation import compensated
 from equimus_ctrl.diagnosis.fitting import CONVERGED_GAIN, Fitted
 from equimus_ctrl.diagnosis.group_splits import own_in_each_group, splits_by_group
-from equimus_ctrl.diagnosis.hypothesis import Candidate, Hypothesis, Part, model_of, with_part
+from equimus_ctrl.diagnosis.hypothesis import Candidate, Hypothesis, Part, model_of
 from equimus_ctrl.diagnosis.policy import Thresholds
 from equimus_ctrl.diagnosis.richer_laws import richer
 from equimus_ctrl.diagnosis.scoring import Scoring, extra_parameters
@@ -30,6 +30,7 @@ from equimus_ctrl.diagnosis.search_state import (
 from equimus_ctrl.diagnosis.torque_agreement import shown_in_torques
 from equimus_ctrl.diagnosis.torque_screening import TorqueDomain, torque_domain
 from equimus_ctrl.diagnosis.torque_start import worth_simulating
+from equimus_ctrl.diagnosis.wider_laws import wider
 from equimus_ctrl.errors import ConfigError, SimulationDiverged
 from equimus_ctrl.identification.fit import Begin
 from equimus_ctrl.identification.noise import white_noise
@@ -141,7 +142,8 @@ class HypothesisMoves(Scoring):
         if not fitted.hypothesis and not tried.first:
             tried = replace(tried, first=tuple(screened))
         proposals = [*self._promising(fitted, screened, choice), *self._splits(tried, fitted)]
-        proposals += self._widened(fitted, pool) if known is None else []
+        if known is None:
+            proposals += (Proposal(*begun) for begun in wider(self.data, fitted, pool))
         if self.settings.many_minima and not replaced:
             proposals += (Proposal(*begun) for begun in richer(self.data, fitted, pool))
         coarse = self._coarse_fits(fitted, proposals, rival)
@@ -265,34 +267,6 @@ class HypothesisMoves(Scoring):
         own = splits_by_group(fitted.hypothesis, groups_of(self.data.segments))
         begins = [(self.data.theta_of(fitted.fit.theta, split), fitted.fit.starts) for split in own]
         return [*proposals, *(Proposal(split, (begin,)) for split, begin in zip(own, begins, strict=True))]
-
-    def _widened(self, fitted: Fitted, pool: Sequence[Candidate]) -> list[Proposal]:
-        """For each law at some places the same with a size of its own at each of two more at least, from those it has.
-
-        Screened, it would begin at the sizes of a guess: of joints that all rub, one more at a time would seem better.
-        """
-        proposals = []
-        for wide in (c for c in pool if c.each and not c.own and not c.absent):
-            parts = [part for part in fitted.hypothesis if part.candidate.effect is wide.effect]
-            if not parts or any(part.candidate.own or part.candidate.absent for part in parts):
-                continue
-            known = {
-                (place, own.key): part.values[own.name]
-                for part in parts
-                for own in part.candidate.parameters
-                for place in own.places
-            }
-            values = {p.name: known.get((p.places[0], p.key), wide.guesses[-1][p.name]) for p in wide.parameters}
-            rest = tuple(part for part in fitted.hypothesis if part not in parts)
-            if len(set(wide.locations) - {place for place, _ in known}) < 2:
-                continue
-            try:
-                hypothesis = with_part(self.data.free.model, rest, Part(wide, values))
-            except ConfigError:  # the robot's own effects exclude it
-                continue
-            begin = (self.data.theta_of(fitted.fit.theta, hypothesis), fitted.fit.starts)
-            proposals.append(Proposal(hypothesis, (begin,)))
-        return proposals
 
     def _coarse_fits(self, fitted: Fitted, proposals: Sequence[Proposal], rival: RivalDeviance) -> list[Fitted]:
         """Those that can be simulated, after a few steps, the best score first.

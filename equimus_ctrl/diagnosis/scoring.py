@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy.special import chdtri
 
-from equimus_ctrl.diagnosis.block_scatter import block_scatter, stands_out
+from equimus_ctrl.diagnosis.block_scatter import BlockScatter, block_scatter, stands_out
 from equimus_ctrl.diagnosis.fitting import Data, Fitted
 from equimus_ctrl.diagnosis.hypothesis import Candidate
 from equimus_ctrl.diagnosis.policy import SearchSettings, Thresholds
@@ -63,8 +63,11 @@ class Scoring:
 
     def over_scatter(self, simple: Fitted, rich: Fitted, t: Thresholds) -> float:
         """How far a gain stands out from the residuals' scatter, see ``block_scatter``: not where it is below 1."""
-        scatter = block_scatter(self.data.times, simple, rich, round(t.blocks))
-        return stands_out(scatter, extra_parameters(simple, rich), len(self.pool), t)
+        return stands_out(self.scatter_beside(simple, rich, t), extra_parameters(simple, rich), len(self.pool), t)
+
+    def scatter_beside(self, simple: Fitted, rich: Fitted, t: Thresholds) -> BlockScatter:
+        """The residuals' scatter along what a richer hypothesis changes."""
+        return block_scatter(self.data.times, simple, rich, round(t.blocks))
 
     def about_as_good(self, other: Fitted, best: Fitted) -> bool:
         """Whether another hypothesis fits as well as one, or better, see ``equally_good``."""

@@ -11,7 +11,7 @@ The moves:
     split      a law alike at several places → one at each                 ``extensions``, of what it extends
     merge      laws at single places → one alike at several                ``extensions``: it drops what it excludes
     enrich     a law → one that holds it as a special case                 ``extensions``, where minima are many
-    widen      a law at some places → at all, each with its own parameters ``_widened``
+    widen      a law at some places → at all, each with its own parameters ``wider``
     narrow     a law alike at several places → at one place less           ``narrowed``, ``exchanged_beside_fewer``
     prune      a law with its own parameters at each place → where needed  ``pruned``
     unite      several laws → one that explains as much                    ``with_fewer_laws``, then pruned, simplified
