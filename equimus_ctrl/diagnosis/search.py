@@ -251,6 +251,8 @@ class Search(HypothesisMoves):
         """Why the search stops before any of some options; None where it takes one."""
         if options.best is None:
             return "no effect accepted"
+        if options.outdone == LOST and len(options.best.hypothesis) >= self.settings.most_parts:
+            return LOST  # so nothing can come beside it
         return options.outdone if rounds_outdone > self.settings.patience else None
 
     def _extended(self, forward: _Forward, options: _Options, before: int) -> _Forward:
