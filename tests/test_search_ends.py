@@ -13,6 +13,7 @@ from scipy.special import gammaincc
 from search_on_paper import DEAD, FULL, OFF, POOL, RUB, STICK, VALUES, Known, OnPaper, ended, fitted, held_out_rejects
 
 from equimus_ctrl.diagnosis import confirmation, refit
+from equimus_ctrl.diagnosis import search as search_module
 from equimus_ctrl.diagnosis.alternatives import (
     contested,
     exchanged_beside_fewer,
@@ -430,6 +431,49 @@ def test_a_search_says_why_it_stopped(
     known = Known(deviances, outdone)
     end = OnPaper(known, settings).run(known())
     assert end.stopped == reason and end.best.labels == labels
+
+
+BOTH, ALL = frozenset({RUB, OFF}), frozenset({RUB, OFF, DEAD})
+LOST = "gains do not stand out from the scatter"
+SCATTERED: list[tuple[StopReason, dict[frozenset[str], Sequence[str]], set[str], bool]] = [
+    (LOST, {BOTH: [OFF], ALL: [OFF, DEAD]}, {RUB}, False),
+    # Beside a third part both stand out, which each alone does not.
+    ("no effect accepted", {BOTH: [OFF]}, {RUB, OFF, DEAD}, True),
+    # One that stands out by itself is no use where another does not beside it.
+    (LOST, {BOTH: [OFF], ALL: [OFF]}, {RUB}, True),
+    ("no effect accepted", {}, {RUB, OFF, DEAD}, True),
+]
+
+
+@pytest.mark.parametrize(("reason", "scattered", "labels", "exchanged"), SCATTERED)
+def test_what_does_not_stand_out_from_the_scatter_is_looked_beyond_once(
+    reason: StopReason,
+    scattered: dict[frozenset[str], Sequence[str]],
+    labels: set[str],
+    exchanged: bool,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Nothing is exchanged beside it: that takes most of a search's time."""
+
+    def over_scatter(search: OnPaper, simple: Fitted, rich: Fitted, t: Thresholds) -> float:
+        return 0.5 if (rich.labels - simple.labels) & set(scattered.get(rich.labels, ())) else 2.0
+
+    monkeypatch.setattr(OnPaper, "over_scatter", over_scatter)
+    own, beside = OnPaper.exchanged, list[frozenset[str]]()
+
+    def exchange(search: OnPaper, state: SearchState) -> SearchState:
+        beside.append(state.best.labels)
+        return own(search, state)
+
+    monkeypatch.setattr(OnPaper, "exchanged", exchange)
+    monkeypatch.setattr(search_module, "with_imitators", lambda search, state: state)
+    known = Known({(): 9e3, (RUB,): 5e3, (OFF,): 8e3, (DEAD,): 8.5e3, (RUB, OFF): 3e3, (RUB, DEAD): 4.5e3,
+                   (OFF, DEAD): 7.5e3, (RUB, OFF, DEAD): 1e3})  # fmt: skip
+    end = OnPaper(known, SearchSettings(many_minima=True, patience=1)).run(known())
+    assert end.stopped == reason and end.best.labels == labels
+    assert (BOTH in beside) is (BOTH not in scattered) and (ALL in beside) is exchanged
+    few = OnPaper(known, SearchSettings()).run(known())  # where minima are few it counts as any other
+    assert few.best.labels == {RUB, OFF, DEAD}
 
 
 def test_what_stands_for_other_parameters_is_not_taken() -> None:

@@ -9,13 +9,12 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence, Set
 from dataclasses import dataclass, field, replace
-from functools import cache, cached_property, partial
+from functools import cached_property, partial
 from typing import Literal
 
 import numpy as np
 
 from equimus_ctrl.diagnosis.alternatives import indistinguishable, listed, simpler_laws
-from equimus_ctrl.diagnosis.block_scatter import BlockScatter, block_scatter, stands_out
 from equimus_ctrl.diagnosis.fitting import Data, Fitted, chi_squared
 from equimus_ctrl.diagnosis.holdout import Split, kind_of
 from equimus_ctrl.diagnosis.hypothesis import parameters_of
@@ -303,18 +302,19 @@ def _another(
         if len(fitted.hypothesis) > search.settings.most_parts:
             continue
         looked_at.add(fitted.labels)
-        moved = search.moved(state, search.data.converge(fitted))
-        state = replace(state, tried=moved.tried)
-        holdout = HoldoutResiduals(search.data, split, moved)
+        best = search.data.converge(fitted)
+        holdout = HoldoutResiduals(search.data, split, replace(state, best=best))
         confirmations: list[Confirmation] = []
-        for without in moved.without:
-            if not search.accepts(without, moved.best):
+        for k in range(len(best.hypothesis)):
+            without, tried = search.refit(state.tried, best, (*best.hypothesis[:k], *best.hypothesis[k + 1 :]))
+            state = replace(state, tried=tried)
+            if not search.accepts(without, best):
                 break
-            confirmations.append(confirmation_of(search, holdout, without, moved.best))
+            confirmations.append(confirmation_of(search, holdout, without, best))
             if not confirms(search, confirmations[-1]):
                 break
         else:
-            return moved, tuple(confirmations)
+            return search.moved(state, best), tuple(confirmations)
     return state, ()
 
 
@@ -346,19 +346,11 @@ def confirmation_of(search: Search, holdout: HoldoutResiduals, simple: Fitted, r
 
 def _lost_in_scatter(search: Search, simple: Fitted, rich: Fitted) -> Confirmation | None:
     """Why a gain is within the scatter of the residuals; None where it stands out from it, or they are noise alone."""
-    more = extra_parameters(simple, rich)
-
-    @cache
-    def scatter(blocks: int) -> BlockScatter:
-        return block_scatter(search.data.times, simple, rich, blocks)
-
-    def over_needed(t: Thresholds) -> float:
-        return stands_out(scatter(round(t.blocks)), more, len(search.pool), t)
-
-    thresholds = search.data.thresholds
+    over_needed, thresholds = partial(search.over_scatter, simple, rich), search.data.thresholds
     if thresholds.decides(lambda t: over_needed(t) >= 1):
         return None
-    return Confirmation("scatter", scatter(round(thresholds.blocks)).dispersion, stands_out=over_needed)
+    dispersion = search.scatter_beside(simple, rich, thresholds).dispersion
+    return Confirmation("scatter", dispersion, stands_out=over_needed)
 
 
 def _not_in_torques(search: Search, simple: Fitted, rich: Fitted) -> Confirmation | None:

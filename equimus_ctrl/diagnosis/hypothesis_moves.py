@@ -30,6 +30,7 @@ from equimus_ctrl.diagnosis.search_state import (
 from equimus_ctrl.diagnosis.torque_agreement import shown_in_torques
 from equimus_ctrl.diagnosis.torque_screening import TorqueDomain, torque_domain
 from equimus_ctrl.diagnosis.torque_start import worth_simulating
+from equimus_ctrl.diagnosis.wider_laws import wider
 from equimus_ctrl.errors import ConfigError, SimulationDiverged
 from equimus_ctrl.identification.fit import Begin
 from equimus_ctrl.identification.noise import white_noise
@@ -141,6 +142,8 @@ class HypothesisMoves(Scoring):
         if not fitted.hypothesis and not tried.first:
             tried = replace(tried, first=tuple(screened))
         proposals = [*self._promising(fitted, screened, choice), *self._splits(tried, fitted)]
+        if known is None:
+            proposals += (Proposal(*begun) for begun in wider(self.data, fitted, pool))
         if self.settings.many_minima and not replaced:
             proposals += (Proposal(*begun) for begun in richer(self.data, fitted, pool))
         coarse = self._coarse_fits(fitted, proposals, rival)
@@ -436,15 +439,11 @@ class HypothesisMoves(Scoring):
         Where none was, the state has all fits without a part and with another in its place. Nothing is tried in a
         part's place beside one that is not needed: that takes much longer than to find out which are.
         """
-        best, tried = state.best, state.tried
-        without: list[Fitted] = []
+        needed = self._without_each(state)
+        if needed.best is not state.best:
+            return needed, True
+        best, without, tried = state.best, needed.without, needed.tried
         alternatives: list[tuple[Fitted, ...]] = []
-        for k, part in enumerate(best.hypothesis):
-            self.notify(f"without {part.candidate.label}", best.label)
-            rest, tried = self.refit(tried, best, best.hypothesis[:k] + best.hypothesis[k + 1 :])
-            if not self.accepts(rest, best):
-                return replace(state, best=rest, without=(), alternatives=(), tried=tried), True
-            without.append(rest)
         for part, rest in zip(best.hypothesis, without, strict=True):
             self.notify(f"in the place of {part.candidate.label}", best.label)
             others, tried = self.challenge(tried, rest, part.candidate.label, best)
@@ -454,7 +453,31 @@ class HypothesisMoves(Scoring):
             top = next((o for o in sorted(better, key=self.score) if not self.aliased(o)), None)
             if top is not None:
                 return replace(state, best=top, without=(), alternatives=(), tried=tried.having(best)), True
-        return replace(state, best=best, without=tuple(without), alternatives=tuple(alternatives), tried=tried), False
+        return replace(state, best=best, without=without, alternatives=tuple(alternatives), tried=tried), False
+
+    def needed(self, state: SearchState) -> SearchState:
+        """Parts that are not needed dropped, one by one.
+
+        Raises:
+            BudgetSpent: where the budget ends.
+            SimulationDiverged: where a hypothesis without one of its parts diverges.
+        """
+        while (after := self._without_each(state)).best is not state.best:
+            state = after
+        return after
+
+    def _without_each(self, state: SearchState) -> SearchState:
+        """The first part that is not needed dropped; where all are, the same with the fits without each of them."""
+        best, tried = state.best, state.tried
+        without: list[Fitted] = []
+        for k, part in enumerate(best.hypothesis):
+            self.notify(f"without {part.candidate.label}", best.label)
+            rest, tried = self.refit(tried, best, best.hypothesis[:k] + best.hypothesis[k + 1 :])
+            if not self.accepts(rest, best):
+                return replace(state, best=rest, without=(), alternatives=(), tried=tried)
+            without.append(rest)
+        alternatives = tuple(() for _ in without)
+        return replace(state, best=best, without=tuple(without), alternatives=alternatives, tried=tried)
 
     def refitted(
         self, tried: SearchHistory, fitted: Fitted, hypothesis: Hypothesis

@@ -250,6 +250,7 @@ _ROWS: Mapping[str, tuple[Row, ...]] = {
         ("MOST_IMITATORS", 5, "looked at", "convention", "so many are fitted in its place"),
         ("ROUNDS", 4, "looked at", "convention", "how often such a fit goes on"),
     ),
+    "diagnosis.wider_laws": (("MORE", 2, "looked at", "convention", "further joints, at least, of a wider law"),),
     "diagnosis.compensation": (("WEAK", 1e-6, "looked at", "convention", "directions that make up for nothing"),),
     "diagnosis.torque_columns": (("STEP", 1e-3, "arithmetic", "theory", "step of differences"),),
     "diagnosis.torque_guesses": (

@@ -314,7 +314,7 @@ class Thresholds:
         "convention",
         "few, so that each outlasts what residuals remember; with 24 an effect of one parameter has to gain 1.5 times "
         "what it would if their scatter were known (F over χ² at the level 1e-3 of 40 candidates)",
-        where="confirmation",
+        where="scoring",
     )
     scattered: float = decided_by(
         1e-3,

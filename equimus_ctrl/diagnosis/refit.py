@@ -112,7 +112,7 @@ def searched_from_short(search: Search, end: SearchState, split: Split, base: Fi
     data, settings, notify = search.data, search.settings, search.notify
     short = Search(replace(data, segments=split.short_segments), search.pool, settings, notify)
     try:
-        short_end = short.run(base)
+        short_end = short.run(base, imitated=False)  # where it ends is only a beginning
     except SimulationDiverged:  # so short intervals are of no use
         return search, end
     best = short_end.best
@@ -124,6 +124,8 @@ def searched_from_short(search: Search, end: SearchState, split: Split, base: Fi
         noise = white_noise(best.fit.residuals)
         start = data.converge(data.coarse_fit(best.hypothesis, [begin], noise, settings.long_steps))
     except SimulationDiverged:  # so it cannot be what happened
+        return search, end
+    if not search.about_as_good(start, end.best):  # so the search has found better than these
         return search, end
     other_end = other.go_on(other.beginning(end.base, start))
     if other.score(other_end.best) < search.score(end.best):

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy.special import chdtri
 
+from equimus_ctrl.diagnosis.block_scatter import BlockScatter, block_scatter, stands_out
 from equimus_ctrl.diagnosis.fitting import Data, Fitted
 from equimus_ctrl.diagnosis.hypothesis import Candidate
 from equimus_ctrl.diagnosis.policy import SearchSettings, Thresholds
@@ -59,6 +60,19 @@ class Scoring:
         """Whether another hypothesis scores so much better that it is taken, see ``Thresholds.exchange``."""
         theirs, own = self.score(other), self.score(best)
         return self.data.thresholds.decides(lambda t: theirs < own - t.exchange)
+
+    def over_scatter(self, simple: Fitted, rich: Fitted, t: Thresholds) -> float:
+        """How far a gain stands out from the residuals' scatter, see ``block_scatter``: not where it is below 1."""
+        return stands_out(self.scatter_beside(simple, rich, t), extra_parameters(simple, rich), len(self.pool), t)
+
+    def scatter_beside(self, simple: Fitted, rich: Fitted, t: Thresholds) -> BlockScatter:
+        """The residuals' scatter along what a richer hypothesis changes."""
+        return block_scatter(self.data.times, simple, rich, round(t.blocks))
+
+    def about_as_good(self, other: Fitted, best: Fitted) -> bool:
+        """Whether another hypothesis fits as well as one, or better, see ``equally_good``."""
+        more = self.score(other) - self.score(best)
+        return self.data.thresholds.decides(lambda t: more < self.equally_good(t))
 
     def scatter(self, t: Thresholds) -> float:
         """By how much deviances scatter with the local minimum that a fit ends in; 0 where there is one minimum."""

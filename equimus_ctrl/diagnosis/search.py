@@ -11,6 +11,7 @@ The moves:
     split      a law alike at several places → one at each                 ``extensions``, of what it extends
     merge      laws at single places → one alike at several                ``extensions``: it drops what it excludes
     enrich     a law → one that holds it as a special case                 ``extensions``, where minima are many
+    widen      a law at some places → at all, each with its own parameters ``wider``
     narrow     a law alike at several places → at one place less           ``narrowed``, ``exchanged_beside_fewer``
     prune      a law with its own parameters at each place → where needed  ``pruned``
     unite      several laws → one that explains as much                    ``with_fewer_laws``, then pruned, simplified
@@ -33,6 +34,8 @@ first-order gains predict little. What differs:
     a law with a size of either sign    the best one also fitted      as its guesses have it
                                         from the other sign
     rounds outdone by a residual force  none                          one (``PATIENCE``)
+    rounds whose gain does not stand    as any others                 one, likewise: no such part is confirmed
+    out from the residuals' scatter                                   but nothing is exchanged beside it
     the model without effects           fitted once                   refitted from the first effect's fit
     after each addition                 exchanged, from two parts on  the same, then pruned and simplified
     where a part is left out            from the others' values           also from what makes up for it to first order
@@ -59,13 +62,16 @@ from equimus_ctrl.diagnosis.fitting import Fitted, chi_squared
 from equimus_ctrl.diagnosis.hypothesis import Candidate
 from equimus_ctrl.diagnosis.hypothesis_moves import HypothesisMoves
 from equimus_ctrl.diagnosis.imitators import with_imitators
+from equimus_ctrl.diagnosis.policy import Thresholds
 from equimus_ctrl.diagnosis.residual_force import force_candidates, linearise_fit
 from equimus_ctrl.diagnosis.richer_laws import richer
 from equimus_ctrl.diagnosis.screening import screen
-from equimus_ctrl.diagnosis.search_state import SearchHistory, SearchState, StopReason
+from equimus_ctrl.diagnosis.search_state import Outdone, SearchHistory, SearchState, StopReason
 from equimus_ctrl.diagnosis.torque_start import laws_asked_for, worth_simulating
 from equimus_ctrl.errors import SimulationDiverged
 from equimus_ctrl.identification.noise import white_noise
+
+LOST: Outdone = "gains do not stand out from the scatter"
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,12 +81,12 @@ class _Options:
     Attributes:
         fitted: all of them.
         best: the best one, if its gain is accepted and its score is better; None otherwise.
-        outdone: whether a residual force explains far more than the best one does.
+        outdone: what speaks against its last part; None where nothing does.
     """
 
     fitted: tuple[Fitted, ...]
     best: Fitted | None
-    outdone: bool
+    outdone: Outdone | None
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,8 +95,8 @@ class _Forward:
 
     Attributes:
         state: with the hypothesis that is extended next.
-        last_accepted: the last one that no residual force outdid.
-        rounds_outdone: how many rounds in a row, up to the last one, a residual force outdid the part that was added.
+        last_accepted: the last one whose last part nothing spoke against.
+        rounds_outdone: how many rounds in a row, up to the last one, added a part that something spoke against.
         stop: why it is at its end; None where it goes on.
     """
 
@@ -103,27 +109,34 @@ class _Forward:
 class Search(HypothesisMoves):
     """A search over sets of candidates, from where one begins to where it ends."""
 
-    def run(self, base: Fitted) -> SearchState:
-        """Search from a model without effects that was refitted."""
-        return self.go_on(SearchState(base, base))
+    def run(self, base: Fitted, imitated: bool = True) -> SearchState:
+        """Search from a model without effects that was refitted; see ``steps``."""
+        return self.go_on(SearchState(base, base), imitated=imitated)
 
     def beginning(self, base: Fitted, start: Fitted) -> SearchState:
         """A hypothesis without the parts that are not needed, and with better fitting ones in its parts' places."""
+        *_, begun = self.beginnings(base, start)
+        return begun
+
+    def beginnings(self, base: Fitted, start: Fitted) -> Iterator[SearchState]:
+        """The same step by step: at first without the parts that are not needed."""
         pool, domain = self.pool, self.torque_domain
         if domain is not None:
             pool = worth_simulating(self.data, domain, base, pool)
         first = SearchHistory(first=tuple(screen(self.data, base, pool)))
-        return simplified(self, pruned(self, self.exchanged(SearchState(base, start, tried=first))))
+        state = self.needed(SearchState(base, start, tried=first))
+        yield state
+        yield simplified(self, pruned(self, self.exchanged(state)))
 
-    def begun_in_torques(self, state: SearchState) -> SearchState:
-        """A search that begins with the laws that measured torques ask for; as it is where they ask for none.
+    def begun_in_torques(self, state: SearchState) -> Iterator[SearchState]:
+        """A search that begins with the laws that measured torques ask for, step by step; none where they ask for none.
 
         Of many joints that all rub, laws come together or not at all: one by one each is hidden by the others.
         """
         domain, most = self.torque_domain, self.settings.most_parts
         asked = None if domain is None else laws_asked_for(self.data, domain, self.pool, most)
         if domain is None or asked is None:
-            return state
+            return
         hypothesis, theta = asked
         self.notify("what the measured torques ask for", state.best.label)
         data, base = self.data, state.base
@@ -135,11 +148,12 @@ class Search(HypothesisMoves):
             noise = white_noise(base.fit.residuals)
             start = data.coarse_fit(hypothesis, begins, noise, self.settings.long_steps)
             if start.deviance > base.deviance:  # far from any minimum: it holds the model without effects too
-                return state
+                return
             start = data.converge(self._enriched(start, self.pool))
         except SimulationDiverged:  # so it cannot be what happened
-            return state
-        return self.beginning(base, start) if self.accepts(base, start) else state
+            return
+        if self.accepts(base, start):
+            yield from self.beginnings(base, start)
 
     def _enriched(self, fitted: Fitted, pool: Sequence[Candidate]) -> Fitted:
         """A hypothesis, or a better one with a richer law in a part's place: too simple a law makes others look needed.
@@ -153,21 +167,22 @@ class Search(HypothesisMoves):
                 options.append(self.data.coarse_fit(hypothesis, begins, noise, self.settings.long_steps))
         return min(options, key=self.score)
 
-    def go_on(self, state: SearchState, further: bool = True) -> SearchState:
+    def go_on(self, state: SearchState, further: bool = True, imitated: bool = True) -> SearchState:
         """Search from where one ended; see ``steps``."""
-        for after in self.steps(state, further):
+        for after in self.steps(state, further, imitated):
             state = after
         return state
 
-    def steps(self, state: SearchState, further: bool = True) -> Iterator[SearchState]:
+    def steps(self, state: SearchState, further: bool = True, imitated: bool = True) -> Iterator[SearchState]:
         """Search from where one ended, step by step; the last step is the end, and says why it is.
 
         Args:
             state: there.
             further: whether more parts are tried, or only alternatives of the present ones.
+            imitated: whether at the end other laws are fitted from where they imitate a part.
         """
         if not further:
-            yield self._finished(replace(self.exchanged(state), stopped="no more parts asked for"))
+            yield self._finished(replace(self.exchanged(state), stopped="no more parts asked for"), imitated)
             return
         forward = _Forward(state, state)
         for depth in range(self.settings.rounds_per_part * self.settings.most_parts):
@@ -177,24 +192,27 @@ class Search(HypothesisMoves):
                 break
             yield replace(forward.last_accepted, tried=forward.state.tried)
         last, stopped = forward.state, forward.stop or "most rounds"
-        yield self._finished(replace(forward.last_accepted, base=last.base, tried=last.tried, stopped=stopped))
+        yield self._finished(
+            replace(forward.last_accepted, base=last.base, tried=last.tried, stopped=stopped), imitated
+        )
 
-    def _finished(self, state: SearchState) -> SearchState:
+    def _finished(self, state: SearchState, imitated: bool) -> SearchState:
         """The end: each part the best in its place, at the fewest places, and as few of them as explain as much."""
         state = narrowed(self, exchanged_beside_fewer(self, contested(self, state)))
         united = with_fewer_laws(self, state)
         if united.best is not state.best:
             united = narrowed(self, simplified(self, pruned(self, united)))
-        return with_imitators(self, united)
+        return with_imitators(self, united) if imitated else united
 
     def _round(self, forward: _Forward) -> _Forward:
         """One more part, or the reason to stop."""
         options, tried = self._options(forward)
-        rounds_outdone = forward.rounds_outdone + 1 if options.outdone else 0
+        before = forward.rounds_outdone
+        rounds_outdone = 0 if options.outdone is None else before + 1
         forward = replace(forward, state=replace(forward.state, tried=tried), rounds_outdone=rounds_outdone)
         if (stop := self._stop_reason(options, rounds_outdone)) is not None:
             return replace(forward, stop=stop)
-        return self._extended(forward, options)
+        return self._extended(forward, options, before)
 
     def _options(self, forward: _Forward) -> tuple[_Options, SearchHistory]:
         """Hypotheses with one more part: the promising ones; all others too where that may help."""
@@ -211,27 +229,57 @@ class Search(HypothesisMoves):
             fitted = [*fitted, *others]
             if (better := self._top(best, fitted)) is not top:
                 top, outdone = better, better is not None and self._outdone(accepted, better, force)
-        return _Options(tuple(fitted), top, outdone), tried
+        return _Options(tuple(fitted), top, self._against(best, top, outdone)), tried
+
+    def _against(self, best: Fitted, top: Fitted | None, outdone: bool) -> Outdone | None:
+        """Why what a larger hypothesis adds may not be what is missing; None where nothing speaks against it."""
+        if top is not None and best.hypothesis and self._lost([best], top):
+            return LOST
+        return "a residual force explains more" if outdone else None
+
+    def _lost(self, without: Sequence[Fitted], best: Fitted) -> bool:
+        """Whether the gain of a part does not stand out from the scatter of the residuals; not where minima are few.
+
+        No such part is confirmed. But of two that are missing each may be lost in what the other leaves.
+        """
+
+        def lost(t: Thresholds) -> bool:
+            return any(self.over_scatter(rest, best, t) < 1 for rest in without)
+
+        return self.settings.many_minima and self.data.thresholds.decides(lost)
 
     def _stop_reason(self, options: _Options, rounds_outdone: int) -> StopReason | None:
         """Why the search stops before any of some options; None where it takes one."""
         if options.best is None:
             return "no effect accepted"
-        if rounds_outdone > self.settings.patience:
-            return "a residual force explains more"
-        return None
+        if options.outdone == LOST and len(options.best.hypothesis) >= self.settings.most_parts:
+            return LOST  # so nothing can come beside it
+        return options.outdone if rounds_outdone > self.settings.patience else None
 
-    def _extended(self, forward: _Forward, options: _Options) -> _Forward:
-        """A search with the best of some options, which a round outdone by a residual force does not accept yet."""
+    def _extended(self, forward: _Forward, options: _Options, before: int) -> _Forward:
+        """A search with the best of some options, which a round that something speaks against does not accept yet.
+
+        Args:
+            forward: the search.
+            options: of which one is accepted by itself.
+            before: how many rounds in a row had come to what something spoke against.
+        """
         state, fitted = forward.state, options.fitted
+        if options.best is not None and options.outdone == LOST:
+            # Looked at is only what comes next, beside which it may stand out: nothing is exchanged until it does.
+            return replace(forward, state=replace(state, best=options.best, without=(), alternatives=()))
         if len(state.best.hypothesis) == 1:
             more, tried = self._beside_runners_up(state)
             fitted, state = (*fitted, *more), replace(state, tried=tried)
         after = self._with_one_more(state, fitted)
         had, has = bool(forward.state.best.hypothesis), bool(after.best.hypothesis)
+        if had and has and options.outdone is None and self._lost(after.without, after.best):
+            rounds_outdone = before + 1
+            stop: StopReason | None = LOST if rounds_outdone > self.settings.patience else None
+            return replace(forward, state=after, rounds_outdone=rounds_outdone, stop=stop)
         # Without parts before and after, the model alone was refitted, and fits as well as any option.
         accepted = not forward.rounds_outdone or not (had or has)
-        stop: StopReason | None = "no part needed" if had and not has else None
+        stop = "no part needed" if had and not has else None
         return replace(forward, state=after, last_accepted=after if accepted else forward.last_accepted, stop=stop)
 
     def _with_one_more(self, state: SearchState, options: Sequence[Fitted]) -> SearchState:

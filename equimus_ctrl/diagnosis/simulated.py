@@ -91,14 +91,23 @@ class Simulated:
     def settled(self) -> Simulated:
         """The same at the hypothesis that its search has come to; as it is where that diverges on the way.
 
+        Nothing is fitted again where that hypothesis has the error that was taken off.
+
         Raises:
             BudgetSpent: where the budget ends.
         """
+        now = self.search.data.segments
+        taken = np.concatenate([r.outputs - s.outputs for r, s in zip(self.raw, now, strict=True)])
         try:
-            again = _taken_off(self.search, self.end, self.raw, self.end.best, self.maker)
+            search, best = _taken_off(self.search, self.raw, self.end.best, self.maker, _Off.of(taken))
+            if best is self.end.best:
+                return replace(self, model=best.fit.model)
+            base = search.refit(self.end.tried, best, ())[0] if best.hypothesis else best
+            # Its parts were exchanged before: the rest of the error changes no more than numbers.
+            end = search.needed(search.moved(replace(self.end, base=base), best))
         except SimulationDiverged:
             return self
-        return replace(again, share=self.share, gain=self.gain)
+        return replace(self, search=search, end=end, model=end.best.fit.model)
 
     def without_error(self, split: Split) -> Split:
         """The trials that are held out, likewise: from where they start the error follows, and by it where they do.
@@ -139,7 +148,7 @@ def simulated(search: Search, end: SearchState) -> Simulated | None:
                 continue
             if abs(shown.share - 1.0) < NEARER:
                 with suppress(SimulationDiverged):  # so it cannot be what happened
-                    found = _taken_off(search, end, data.segments, fitted, maker)
+                    found = _begun(search, end, fitted, maker)
                     if _once(found):
                         return replace(found, share=shown.share, gain=shown.gain)
     return None
@@ -244,8 +253,12 @@ class _Off:
     @classmethod
     def nothing(cls, segments: Sequence[Segment]) -> _Off:
         """None of it."""
-        none = np.concatenate([np.zeros(s.outputs.shape) for s in segments]) if segments else np.zeros((0, 0))
-        return cls(none, none)
+        return cls.of(np.concatenate([np.zeros(s.outputs.shape) for s in segments]) if segments else np.zeros((0, 0)))
+
+    @classmethod
+    def of(cls, taken: Array) -> _Off:
+        """(m, nj + ne) of all segments."""
+        return cls(taken, np.zeros_like(taken))
 
     def towards(self, error: Array, sigma: Array) -> _Off:
         """The next one, where g(d) is known, with (nj + ne,) of the noise."""
@@ -257,23 +270,46 @@ class _Off:
         return _Off(self.taken + relaxed * missed, missed, relaxed)
 
 
-def _taken_off(search: Search, end: SearchState, raw: Sequence[Segment], fitted: Fitted, maker: Engine) -> Simulated:
-    """A search that begins at a hypothesis fitted to segments without the error of MuJoCo's step."""
-    data, off = search.data, _Off.nothing(raw)
+def _taken_off(
+    search: Search, raw: Sequence[Segment], fitted: Fitted, maker: Engine, off: _Off
+) -> tuple[Search, Fitted]:
+    """A search in segments without the error of MuJoCo's step, and a hypothesis fitted to them.
+
+    Both as they are where the error that was taken off before is the hypothesis' own.
+
+    Args:
+        search: in the segments without what was taken off.
+        raw: the segments as they were recorded.
+        fitted: the hypothesis.
+        maker: the engine that made them.
+        off: what was taken off.
+    """
+    data = search.data
     for _ in range(ROUNDS):
         error = np.concatenate(_error_at(data.simulator, maker, fitted, data.segments))
+        if off.taken.any() and _small(error - off.taken, fitted):
+            break
         off = off.towards(error, np.array([joint.sigma for joint in fitted.noise]))
         unsure = data.thresholds.step_unsure * np.sqrt(np.mean(off.taken**2, axis=0))
         data = replace(data, segments=_less(raw, off.taken), least_noise=unsure)
         begun = data.coarse_fit(fitted.hypothesis, [fitted.begin], fitted.noise, search.settings.long_steps)
         fitted = data.converge(begun)
-        if float(np.sqrt(np.mean((off.missed / [joint.sigma for joint in fitted.noise]) ** 2))) < SETTLED:
-            break
-    search = replace(search, data=data)
+    return replace(search, data=data), fitted
+
+
+def _begun(search: Search, end: SearchState, fitted: Fitted, maker: Engine) -> Simulated:
+    """A search that begins at a hypothesis fitted to segments without the error of MuJoCo's step."""
+    raw = search.data.segments
+    search, fitted = _taken_off(search, raw, fitted, maker, _Off.nothing(raw))
     tried = SearchHistory(first=end.tried.first, rejected=end.tried.rejected)
     base = search.refit(tried, fitted, ())[0] if fitted.hypothesis else fitted
     after = search.beginning(base, fitted) if fitted.hypothesis else SearchState(base, base, tried=tried)
     return Simulated(search, after, raw, maker, 1.0, 0.0, fitted.fit.model)
+
+
+def _small(missed: Array, fitted: Fitted) -> bool:
+    """Whether what (m, nj + ne) is missed of the error is next to nothing beside a fit's noise."""
+    return float(np.sqrt(np.mean((missed / [joint.sigma for joint in fitted.noise]) ** 2))) < SETTLED
 
 
 def _error_at(own: Simulator, maker: Engine, fitted: Fitted, segments: Sequence[Segment]) -> list[Array]:

@@ -128,8 +128,8 @@ def find_effects(state: State) -> State:
 
 def _begun_in_torques(search: Search, end: SearchState) -> Iterator[SearchState]:
     """The steps of a search that begins with what measured torques ask for."""
-    begun = search.begun_in_torques(end)
-    if begun is not end:
+    begun = end
+    for begun in search.begun_in_torques(end):
         yield begun
     yield from search.steps(begun)
 
