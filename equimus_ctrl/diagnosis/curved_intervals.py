@@ -26,9 +26,11 @@ CURVED = 0.2
 """Share by which the root of the rise may differ from a straight fit's before the others are refitted."""
 CLOSE = 0.05
 """Share of the root of the rise to which an end is found."""
-FARTHER = 4.0
-"""Factor by which an end goes farther or nearer at once, at most."""
-LOOKS = 8
+NEAR, FARTHER = 0.25, 2.0
+"""Share of a straight fit's interval at which others are refitted first, and the factor by which it grows."""
+WELL_BETWEEN = 0.1
+"""Share of the distance between two values that is kept from both of them."""
+LOOKS = 10
 """How many values are refitted at for one end, at most."""
 REFIT = FitSettings(1e-4, 20)
 """Of the others at one value."""
@@ -113,7 +115,11 @@ def _rises(data: Data, fitted: Fitted, whitened: WhitenedFit, ways: Sequence[_Wa
 
 
 def _end(data: Data, fitted: Fitted, way: _Way) -> float:
-    """Where the misfit has risen by ζ², all others refitted; see ``curved_ends``."""
+    """Where the misfit has risen by ζ², all others refitted; see ``curved_ends``.
+
+    From near the fit outwards, each refit begun where the ones before it lead: far from a fit its minimum is lost.
+    Where that is not found within ``LOOKS``, the end is the nearest value at which the misfit has risen by more.
+    """
     at = fitted.fit
     bounds = at.parameters.low[way.place], at.parameters.high[way.place]
     bound = float(bounds[way.width > 0])
@@ -128,29 +134,32 @@ def _end(data: Data, fitted: Fitted, way: _Way) -> float:
         except SimulationDiverged:
             return math.inf, begins[0]
 
-    floor, _ = held(0.0, [at.theta])
+    floor, begun = held(0.0, [at.theta])
     inner, outer = (0.0, 0.0), (math.inf, math.inf)  # (share of the width, ζ) about the end
-    share, begins = min(1.0, farthest), [at.theta + way.change]
+    slope, share = way.change, min(NEAR, farthest)
     for _ in range(LOOKS):
-        cost, theta = held(share, begins)
+        cost, theta = held(share, [begun + slope * (share - inner[0]), begun])
         root = math.sqrt(max(cost - floor, 0.0))
         if abs(root - way.root) < CLOSE * way.root or (root < way.root and share == farthest):
             return value(share)
-        inner, outer = ((share, root), outer) if root < way.root else (inner, (share, root))
-        after = _between(inner, outer, way.root, farthest)
-        begins = [theta, at.theta + (theta - at.theta) * after / share]
-        share = after
-    return value(share) if math.isfinite(outer[0]) else math.copysign(math.inf, way.width)
+        if root < way.root:
+            slope, begun, inner = (theta - begun) / (share - inner[0]), theta, (share, root)
+        else:
+            outer = (share, root)
+        share = _between(inner, outer, way.root, farthest)
+    return value(outer[0]) if math.isfinite(outer[0]) else math.copysign(math.inf, way.width)
 
 
 def _between(inner: tuple[float, float], outer: tuple[float, float], root: float, farthest: float) -> float:
-    """The share at which the root is expected to be reached, from one where it is not and one where it is exceeded."""
+    """The share at which the root is expected to be reached, from one where it is not and one where it is exceeded.
+
+    Well between both: where a refit has lost its minimum, the root is far too large.
+    """
     (near, low), (far, high) = inner, outer
-    if math.isfinite(high):
-        return near + (far - near) * (root - low) / (high - low)
-    if math.isfinite(far):
-        return (near + far) / 2
-    return min(near * min(root / max(low, 1e-300), FARTHER), farthest)
+    if not math.isfinite(far):
+        return min(near * FARTHER, farthest)
+    within = (root - low) / (high - low) if math.isfinite(high) else 0.0
+    return near + (far - near) * min(max(within, WELL_BETWEEN), 1 - WELL_BETWEEN)
 
 
 def _held(data: Data, fitted: Fitted, place: int, value: float, begins: Sequence[Array]) -> tuple[float, Array]:

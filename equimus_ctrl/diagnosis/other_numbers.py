@@ -195,8 +195,10 @@ _ROWS: Mapping[str, tuple[Row, ...]] = {
     "diagnosis.curved_intervals": (
         ("CURVED", 0.2, "method", "convention", "departure of a rise's root from a straight fit's, before refits"),
         ("CLOSE", 0.05, "method", "convention", "share of the root to which an end is found"),
-        ("FARTHER", 4.0, "method", "convention", "how much farther or nearer an end goes at once"),
-        ("LOOKS", 8, "method", "convention", "refits for one end"),
+        ("NEAR", 0.25, "method", "convention", "share of a straight interval at which others are refitted first"),
+        ("FARTHER", 2.0, "method", "convention", "how much farther they are refitted next"),
+        ("WELL_BETWEEN", 0.1, "method", "convention", "what the next value keeps from those about the end"),
+        ("LOOKS", 10, "method", "convention", "refits for one end"),
     ),
     # --- what is looked for -------------------------------------------------------------------------------------------
     "diagnosis.candidates": (
