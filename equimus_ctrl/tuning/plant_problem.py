@@ -286,9 +286,9 @@ class PlantProblem:
                 for k in going:
                     found[k] |= {number: next(tried)[0] for number in stage}
                     own = self.judge(found[k])
-                    costs = dict(zip(sorted(found[k]), own.member_costs, strict=True))
-                    if own.feasible and not set(self.paying) <= set(costs):
-                        least = self._at_least(costs, possible)
+                    if own.feasible and not set(self.paying) <= set(found[k]):
+                        known_costs = dict(zip(sorted(found[k]), own.member_costs, strict=True))
+                        least = self._at_least(known_costs, possible)
                         own = replace(own, cost=least, feasible=least < incumbent, beaten=least >= incumbent)
                     known[k] = own
                 going = [k for k in going if known[k].feasible]
