@@ -229,7 +229,7 @@ def test_a_candidate_whose_loops_are_beyond_the_limits_does_not_run(problem: Pla
 
 
 SHORT = {
-    "members = 7 ": "members = 2 ", "unseen = 40 ": "unseen = 1 ", "duration = 4.0": "duration = 2.0",
+    "members = 7 ": "members = 4 ", "unseen = 40 ": "unseen = 1 ", "duration = 4.0": "duration = 2.0",
     "duration = 3.0": "duration = 1.0",
 }  # fmt: skip
 
