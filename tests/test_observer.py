@@ -10,6 +10,7 @@ import pytest
 
 from equimus_ctrl.effects import Effect, make
 from equimus_ctrl.errors import ConfigError, ControllerError
+from equimus_ctrl.estimation import filter_kernel
 from equimus_ctrl.estimation.observer import Estimate, Observer, ObserverFault, ObserverSettings, ObserverState
 from equimus_ctrl.models.kinematics import Kinematics
 from equimus_ctrl.models.model import Model
@@ -174,3 +175,34 @@ def test_at_rest_it_finds_the_leg_where_it_is() -> None:
     state = observer.init(plant.reset())
     np.testing.assert_allclose(observer.estimate(state).position, q)
     np.testing.assert_allclose(observer.estimate(state, 0.5).position, Kinematics(LEG).equilibrium([0, 0]), atol=1e-4)
+
+
+@pytest.mark.parametrize(("nj", "na"), [(2, 3), (1, 1)])
+def test_compiled_matrices_are_those_of_the_filter(nj: int, na: int) -> None:
+    rng = np.random.default_rng(nj)
+    n, first = 2 * nj + na + 1, 2 * nj
+    m = n + nj
+    by_x, by_u, by_d = (rng.normal(size=(n, k)) for k in (n, na, nj))
+    walk, kick, gain = rng.uniform(0.1, 1.0, m), rng.uniform(0.1, 1.0, nj), np.empty(m)
+    root, f, g = rng.normal(size=(m, m)), rng.normal(size=(m, m)), rng.normal(size=(m, na))
+    a, b, q = np.eye(m), np.zeros((m, na)), np.diag(walk)
+    a[:n, :n], a[:n, n:] = by_x, by_d
+    b[:n] = by_x[:, first : first + na] + by_u
+    b[first : first + na] = 0.0
+    q[:n, :n] += by_d @ np.diag(kick) @ by_d.T
+    covariance = root @ root.T
+    wanted = a @ covariance @ a.T + q, a @ f, a @ g + b
+    filter_kernel.carried_on(by_x.T.copy(), by_u.T.copy(), by_d.T.copy(), walk, kick, first, covariance, f, g)
+    for found, known in zip((covariance, f, g), wanted, strict=True):
+        np.testing.assert_allclose(found, known, rtol=1e-12, atol=1e-12)
+
+    offset, scale, noise, angle, joint = 0.1, 1.2, 0.3, 0.7, nj - 1
+    mean, row = rng.normal(size=m), np.zeros(m)
+    row[joint] = scale
+    variance = row @ covariance @ row + noise**2
+    best, expected = covariance @ row / variance, angle - offset - row @ mean
+    after = mean + best * expected, covariance - np.outer(best, best) * variance
+    told = filter_kernel.corrected(mean, covariance, joint, angle, offset, scale, noise, gain)
+    assert told == pytest.approx((expected, variance))
+    for found, known in zip((gain, mean, covariance), (best, *after), strict=True):
+        np.testing.assert_allclose(found, known, rtol=1e-10, atol=1e-10)

@@ -215,16 +215,16 @@ class Inverse:
     def _feed(self, reference: Reference, times: Array, state: InverseState) -> tuple[Array, Array]:
         """(n, na) what is to reach the valves [Pa], and the effects' states afterwards."""
         pressure, states = np.empty((len(times), len(self.actuators))), np.empty_like(state.states)
+        n, to_sides = len(times), np.array([[0.0], [-self._dt], [self._dt]])
         for k, (delay, own, lags) in enumerate(self._groups):
             arrival = times + delay + self._dt / 2
-            q, v, a = self.motion(reference, arrival, state)
-            z, states[k] = self.states(q, v, state.states[k])
-            pressure[:, own] = self.pressures(q, v, a, z)[:, own]
+            q, v, a = self.motion(reference, (arrival + (to_sides if lags else to_sides[:1])).ravel(), state)
+            z, states[k] = self.states(q[:, :n], v[:, :n], state.states[k])
+            found = self.pressures(q, v, a, np.tile(z, q.shape[1] // n))[:, own]
+            pressure[:, own] = found[:n]
             if lags:
-                around = [self.motion(reference, arrival + side * self._dt, state) for side in (-1, 1)]
-                before, after = (self.pressures(*motion, z)[:, own] for motion in around)
                 rate = np.zeros_like(pressure)
-                rate[:, own] = (after - before) / (2 * self._dt)
+                rate[:, own] = (found[2 * n :] - found[n : 2 * n]) / (2 * self._dt)
                 pressure += self.lead(rate)
         return pressure, states
 
@@ -249,7 +249,9 @@ class Inverse:
 
     def motion(self, reference: Reference, times: Array, state: InverseState) -> tuple[Array, Array, Array]:
         """(nj, n) angles, velocities and accelerations of a robot that follows the reference from its first pose on."""
-        before, now, after = (self._poses(reference, times + side * SMOOTHING, state).T for side in (-1, 0, 1))
+        around = np.concatenate([times - SMOOTHING, times, times + SMOOTHING])
+        found, n = self._poses(reference, around, state).T, len(times)
+        before, now, after = found[:, :n], found[:, n : 2 * n], found[:, 2 * n :]
         return now, (after - before) / (2 * SMOOTHING), (after - 2 * now + before) / SMOOTHING**2
 
     def states(self, q: Array, v: Array, first: Array) -> tuple[Array, Array]:

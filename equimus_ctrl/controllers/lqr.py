@@ -28,7 +28,7 @@ from equimus_ctrl.effects.command import DELAY
 from equimus_ctrl.errors import ConfigError, ControllerError
 from equimus_ctrl.estimation.observer import Estimate, Observer, ObserverSettings, require_model
 from equimus_ctrl.estimation.valve_bank import ValveBank
-from equimus_ctrl.models.linear import About, linearise, matrices_about, valve_lag
+from equimus_ctrl.models.linear import sampled, valve_lag
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.models.solved import valves_of
 from equimus_ctrl.settings import OTHERS, PRESSURES, FileSettings, both, setting
@@ -128,7 +128,6 @@ def regulator(
     settings: LqrSettings,
     dt: float,
     allowed: Allowances | None = None,
-    about: About | None = None,
 ) -> Regulator:
     """The regulator of a model about a pose (nj,) [rad], sampled with dt [s].
 
@@ -138,34 +137,33 @@ def regulator(
         settings: of the regulator.
         dt: of the sampling.
         allowed: in place of the settings' allowances of angles, rates and pressures.
-        about: ``matrices_about`` the model, where it is known.
 
     Raises:
         ControllerError: where no gains make the robot stable there.
     """
     import control  # takes half a second, which most commands can do without
 
-    sampled = control.c2d(linearise(model, pose, about=about), dt)
-    n, na, nj = sampled.nstates, sampled.ninputs, len(pose)
+    about = sampled(model, tuple(pose.tolist()), dt)
+    (n, na), nj = about.b.shape, len(pose)
     under_way = waiting(model, dt)
     m = n + int(under_way.sum()) + (nj if settings.integral else 0)
     full_a, full_b, q = np.zeros((m, m)), np.zeros((m, na)), np.zeros((m, m))
-    full_a[:n, :n] = sampled.A
+    full_a[:n, :n] = about.a
     first = n
     for i, count in enumerate(under_way):
         if count:
-            full_a[:n, first] = sampled.B[:, i]
+            full_a[:n, first] = about.b[:, i]
             full_a[first : first + count - 1, first + 1 : first + count] = np.eye(count - 1)
             full_b[first + count - 1, i] = 1.0
         else:
-            full_b[:n, i] = sampled.B[:, i]
+            full_b[:n, i] = about.b[:, i]
         first += count
     if settings.integral:
         full_a[first:, :nj], full_a[first:, first:] = dt * np.eye(nj), np.eye(nj)
         q[first:, first:] = np.eye(nj) / settings.integral**2
     own = allowed or settings.alike(nj, na)
     q[:nj, :nj], q[nj : 2 * nj, nj : 2 * nj] = np.diag(1 / own.angle**2), np.diag(1 / own.rate**2)
-    effort = own.efforts((about or matrices_about(model))(pose, None)[1][nj : 2 * nj])
+    effort = own.efforts(about.authority)
     q, r = q * dt, np.diag(dt / effort**2)
     try:
         gain, cost, _ = control.dlqr(full_a, full_b, q, r)
@@ -194,7 +192,6 @@ class Schedule:
     def __init__(self, model: Model, settings: LqrSettings, dt: float, allowed: Allowances | None = None) -> None:
         self.model, self.settings, self.dt = model, settings, dt
         self.allowed = allowed or settings.alike(len(model.robot.joint_names), len(model.robot.actuator_names))
-        self._about = matrices_about(model)
         # A joint without ends has its poses a spacing apart, as many as are asked for.
         low, high = (np.asarray(side) for side in model.robot.joint_range)
         ends, spacing = np.isfinite(low) & np.isfinite(high), settings.spacing
@@ -264,7 +261,7 @@ class Schedule:
         if key not in self._known:
             low, high = np.array(self._low), np.array(self._high)
             pose = low + (high - low) * np.array(key) / self._cells
-            self._known[key] = regulator(self.model, pose, self.settings, self.dt, self.allowed, self._about)
+            self._known[key] = regulator(self.model, pose, self.settings, self.dt, self.allowed)
         return self._known[key]
 
 

@@ -21,6 +21,7 @@ from equimus_ctrl.effects.sensors import OFFSET, SCALE, SENSOR_DELAY, behind
 from equimus_ctrl.effects.valves import shaped_commands
 from equimus_ctrl.engines.native import native
 from equimus_ctrl.errors import ConfigError, ControllerError
+from equimus_ctrl.estimation import filter_kernel
 from equimus_ctrl.estimation.noise_model import NoiseModel, pressed
 from equimus_ctrl.estimation.valve_bank import BankState, Carried, Sent, ValveBank
 from equimus_ctrl.models.buffered import Buffered
@@ -186,8 +187,8 @@ class Observer:
         walk = np.zeros(p.nx + p.nj)
         walk[2 * p.nj : 2 * p.nj + p.na] = own.pressure
         walk[p.nx :] = own.walk
-        self._walk = np.diag(walk**2)
-        self._kick = own.torque**2
+        self._walk = walk**2
+        self._kick = np.array(np.broadcast_to(own.torque, p.nj), dtype=np.float64) ** 2
         fast = [native(function, function.name()) for function in (p.step, p.slopes)] if compiled else [None, None]
         self._step, self._slopes = Buffered(fast[0] or p.step), Buffered(fast[1] or p.slopes)
 
@@ -257,10 +258,15 @@ class Observer:
                 if self.bank is not None and bank is not None and by is not None:
                     bank = self.bank.carried(bank, by, time, at, state.sent)
                 time = at
-            row, gain, off, variance = self._measured(mean, covariance, joint, angle)
+            offset, scale = self.prediction.sensor[joint, OFFSET], self.prediction.sensor[joint, SCALE]
+            mean, covariance, gain = mean.copy(), covariance.copy(), np.empty(len(mean))
+            off, variance = filter_kernel.corrected(
+                mean, covariance, joint, angle, offset, scale, self.settings.noise, gain
+            )
             if self.bank is not None and bank is not None:
+                row = np.zeros(len(mean))
+                row[joint] = scale
                 bank = self.bank.corrected(bank, row, gain, off, variance)
-            mean, covariance = self._corrected(mean, covariance, row, gain, off)
         if self.bank is not None and bank is not None:
             bank = self.bank.chosen(bank)
         status: Status = "tracking" if good.all() else "coasting"
@@ -353,45 +359,20 @@ class Observer:
         p = self.prediction
         n, m = p.nx, len(mean)
         x, u, d, h = self._slopes.arguments
-        after, by_x, by_u, by_d = self._slopes.results
-        by_u, by_d = by_u.reshape(n, -1), by_d.reshape(n, -1)  # flat where there is one actuator, or joint
-        pressures = slice(2 * p.nj, 2 * p.nj + p.na)
-        f = np.eye(m)
+        after = self._slopes.results[0]
+        # By rows, also where there is one actuator, or joint.
+        by_x, by_u, by_d = (found.reshape(n, -1).T for found in self._slopes.results[1:])
+        f, g = (np.empty((0, m)), np.empty((0, p.na))) if carried is None else (carried.state, carried.pressure)
+        x[:], d[:], covariance = mean[:n], mean[n:], covariance.copy()
         for part, span, steps in self._parts(start, until, sent):
             u[:], h[:] = part, span
+            # A random torque over the step moves the velocities as the disturbance does over it.
+            walk, kick = self._walk * span, self._kick / span
             for _ in range(steps):
-                x[:], d[:] = mean[:n], mean[n:]
                 self._slopes()
-                f[:n, :n], f[:n, n:] = by_x, by_d
-                if carried is not None:
-                    # A pressure that differs over the whole step does so at its begin and in what follows.
-                    g = np.zeros((m, p.na))
-                    g[:n] = by_x[:, pressures] + by_u
-                    g[pressures] = 0.0
-                    carried.on(f, g)
-                mean = np.concatenate([after, d])
-                noise = self._walk * span
-                # A random torque over the step moves the velocities as the disturbance does over it.
-                gain = by_d / math.sqrt(span)
-                noise[:n, :n] += (gain * self._kick) @ gain.T
-                covariance = f @ covariance @ f.T + noise
-        return mean, covariance
-
-    def _measured(self, mean: Array, covariance: Array, joint: int, angle: float) -> tuple[Array, Array, float, float]:
-        """Of a measured angle the row H (m,), the gain (m,), what it is off by, and the variance of that."""
-        offset, scale = self.prediction.sensor[joint, [OFFSET, SCALE]]
-        row = scale * covariance[joint]
-        variance = scale * row[joint] + self.settings.noise**2
-        seen = np.zeros(len(mean))
-        seen[joint] = scale
-        return seen, row / variance, angle - offset - scale * mean[joint], variance
-
-    def _corrected(self, mean: Array, covariance: Array, row: Array, gain: Array, off: float) -> tuple[Array, Array]:
-        """After a measurement, see ``_measured``; the covariance in Joseph's form."""
-        mean = mean + gain * off
-        keep = np.eye(len(mean)) - np.outer(gain, row)
-        covariance = keep @ covariance @ keep.T + self.settings.noise**2 * np.outer(gain, gain)
-        return mean, (covariance + covariance.T) / 2
+                filter_kernel.carried_on(by_x, by_u, by_d, walk, kick, 2 * p.nj, covariance, f, g)
+                x[:] = after
+        return np.concatenate([x, d]), covariance
 
     def others(self, state: ObserverState) -> ObserverState:
         """What the observer of the bank's choice remembers where this one remembers ``state``.

@@ -68,7 +68,7 @@ class Sent:
 
 @dataclass(eq=False)
 class Carried:
-    """How an interval carries a filter's state on; grows with its parts.
+    """How an interval carries a filter's state on; grows with its parts, see ``filter_kernel.carried_on``.
 
     Attributes:
         state: (m, m) F.
@@ -82,10 +82,6 @@ class Carried:
     def nothing(cls, m: int, na: int) -> Carried:
         """Of no time."""
         return cls(np.eye(m), np.zeros((m, na)))
-
-    def on(self, f: Array, g: Array) -> None:
-        """One part more."""
-        self.state, self.pressure = f @ self.state, f @ self.pressure + g
 
 
 @dataclass(frozen=True, eq=False)

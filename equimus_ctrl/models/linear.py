@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from functools import lru_cache
 from typing import TYPE_CHECKING
 
@@ -25,7 +26,7 @@ from equimus_ctrl.models.symbolic import build
 from equimus_ctrl.models.symbolic_model import ldl_solve
 from equimus_ctrl.robots.elastic.morphology import Morphology, Phase, pack, structure
 from equimus_ctrl.robots.mechanics import Structure
-from equimus_ctrl.types import Array
+from equimus_ctrl.types import Array, frozen_array
 
 if TYPE_CHECKING:
     import control
@@ -180,6 +181,34 @@ def linearise(
         outputs=[f"pos_{name}" for name in joints],
         name=robot.name,
     )  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False)
+class Sampled:
+    """A model about a pose at rest under held commands.
+
+    Attributes:
+        a: (n, n) of the states of ``linearise``, from one sample to the next.
+        b: (n, na).
+        authority: (nj, na) accelerations by what reaches the actuators.
+    """
+
+    a: Array
+    b: Array
+    authority: Array
+
+
+_about = lru_cache(maxsize=64)(matrices_about)
+
+
+@lru_cache(maxsize=4096)
+def sampled(model: Model, pose: tuple[float, ...], dt: float) -> Sampled:
+    """A model about the pose (nj,) [rad], sampled with dt [s]; what regulators with unlike settings share."""
+    import control  # takes half a second, which most commands can do without
+
+    nj, (a, b) = len(pose), _about(model)(pose, None)
+    found = control.c2d(linearise(model, pose, about=lambda *_: (a, b)), dt)
+    return Sampled(frozen_array(found.A), frozen_array(found.B), frozen_array(b[nj : 2 * nj]))
 
 
 def fastest_rates(morphology: Morphology, pose: ArrayLike, phase: Phase = "swing") -> tuple[float, float]:

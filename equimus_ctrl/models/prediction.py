@@ -85,7 +85,7 @@ class Prediction:
         return np.concatenate([q, np.zeros(self.nj), pressure, np.array(self.rest(q)).ravel()])
 
 
-@lru_cache(maxsize=16)
+@lru_cache(maxsize=64)
 def prediction(model: Model, stops: bool = True) -> Prediction:
     """The step of a model.
 

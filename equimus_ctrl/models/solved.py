@@ -60,18 +60,22 @@ class _Pressures:
         self._pressure, self._counter = Buffered(self._law.pressure), Buffered(self._law.counter)
         for call in (self._pressure, self._counter):
             call.arguments[-1][:] = self._parameters
+        self._remembers = self._law.rest.numel_out(0) > 0
 
     def rest(self, q: Array) -> Array:
+        if not self._remembers:
+            return np.empty(0)
         return np.array(self._law.rest(q, self._parameters)).ravel()
 
     def commands(self, q: Array, v: Array, a: Array, z: Array) -> Array:
-        if q.shape[1] > 1:
-            return np.array(self._law.pressure(q, v, a, z, self._parameters)).T
-        call = self._pressure
-        for argument, values in zip(call.arguments, (q, v, a, z), strict=False):
-            argument[:] = values.ravel()
-        call()
-        return np.array(call.results[0])[None]
+        call, given = self._pressure, (q.T, v.T, a.T, z.T)
+        found = np.empty((q.shape[1], len(call.results[0])))
+        for k, row in enumerate(found):
+            for argument, values in zip(call.arguments, given, strict=False):
+                argument[:] = values[k]
+            call()
+            row[:] = call.results[0]
+        return found
 
     def counter(self, q: Array, torque: Array) -> Array:
         call = self._counter

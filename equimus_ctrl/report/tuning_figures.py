@@ -15,7 +15,7 @@ from equimus_ctrl.report import style
 from equimus_ctrl.robots.reading import reading
 from equimus_ctrl.tuning.autotune import unseen_problem
 from equimus_ctrl.tuning.objective import Evaluation, Problem
-from equimus_ctrl.tuning.plant_tuning import HARDEST, PlantTuning
+from equimus_ctrl.tuning.plant_tuning import PlantTuning
 from equimus_ctrl.tuning.result import TuningResult
 from equimus_ctrl.tuning.study import Study
 
@@ -201,8 +201,9 @@ def _robot_costs(axes: Axes, result: TuningResult) -> list[Line2D]:
     """Draw the cost on every robot, tuned on and not, before and after; the legend's handles."""
     seen_after = list(result.best.evaluation.member_costs)
     seen_before = list(result.start_evaluation.member_costs)
-    if len(seen_before) < len(seen_after):  # it failed on the robot that is hardest, and was not tried on the others
-        seen_before = [np.inf if k == HARDEST else np.nan for k in range(len(seen_after))]
+    if len(seen_before) < len(seen_after):  # it failed on some robots, and was not tried on the others
+        tried = [number for stage in result.problem.stages for number in stage][: len(seen_before)]
+        seen_before = [np.inf if k in tried else np.nan for k in range(len(seen_after))]
     groups = [
         (seen_before, seen_after, "tuned on"),
         (_costs(result.start_unseen), _costs(result.unseen), "never tuned on"),

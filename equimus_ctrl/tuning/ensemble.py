@@ -117,11 +117,9 @@ def make_members(model: Model, settings: EnsembleSettings, count: int, seed: int
     require_simulated(model.effects, f"{model.name}: the tuning loop")
     robot = changed_bodies(model.effects, model.robot)
     spreads = groups(robot, {key: getattr(settings, key) for key in (*VARYING, "mass")})
-    names = robot.actuator_names
+    names, slow = robot.actuator_names, _lagging(model)
     kept = [effect for effect in model.effects if not isinstance(effect, BodyEffect)]
-    slow = {effect.location for effect in kept if isinstance(effect, ValveEffect) and effect.exclusive == "lag"}
-    spreading = settings.lag[1] > settings.lag[0] and any(name not in slow for name in names)
-    corners = ((1.0, 1.0), (1.0, 0.0)) if spreading else ((1.0, 1.0),)
+    corners = ((1.0, 1.0), (1.0, 0.0))[: hardest(model, settings)]
     members = []
     for row in _rows(spreads, 2 * len(names), count, seed, fixed, corners):
         late = row[len(spreads) :].reshape(len(names), 2)
@@ -135,6 +133,17 @@ def make_members(model: Model, settings: EnsembleSettings, count: int, seed: int
         ]
         members.append(later(replace(own, effects=(*kept, *lagging)), delays))
     return members
+
+
+def hardest(model: Model, settings: EnsembleSettings) -> int:
+    """How many robots of ``make_members`` behind the first are there because they are hardest to keep stable."""
+    spreading = settings.lag[1] > settings.lag[0] and set(model.robot.actuator_names) - _lagging(model)
+    return 2 if spreading else 1
+
+
+def _lagging(model: Model) -> set[str]:
+    """Actuators whose lag the model knows."""
+    return {own.location for own in model.effects if isinstance(own, ValveEffect) and own.exclusive == "lag"}
 
 
 def later(model: Model, delays: float | Sequence[float]) -> Model:

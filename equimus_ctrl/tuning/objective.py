@@ -436,7 +436,13 @@ class Problem:
                 job.cancel()
 
 
-def judged(legs: Sequence[LegOutcome], counts: Sequence[float], weighing: Weights, limits: Limits) -> Evaluation:
+def judged(
+    legs: Sequence[LegOutcome],
+    counts: Sequence[float],
+    weighing: Weights,
+    limits: Limits,
+    paying: Sequence[bool] | None = None,
+) -> Evaluation:
     """The cost of what happened on every leg, or other robot.
 
     Stable candidates within the limits cost their weighted terms; those beyond a limit cost 1e3 and more, those
@@ -446,9 +452,11 @@ def judged(legs: Sequence[LegOutcome], counts: Sequence[float], weighing: Weight
         legs: what happened on each.
         counts: weights of the scenarios.
         weighing: of the terms.
-        limits: hard ones.
+        limits: hard ones, of all.
+        paying: of which legs the cost is taken; all by default, and where it would be of none.
     """
     weights = np.array([getattr(weighing, key) for key in TERMS])
+    own = np.array(paying if paying is not None and any(paying) else [True] * len(legs))
     shares = np.array(counts) / sum(counts)
     terms = np.array([[run.terms for run in leg.runs] for leg in legs])  # (members, tasks, terms)
     runs = [run for leg in legs for run in leg.runs]
@@ -464,7 +472,7 @@ def judged(legs: Sequence[LegOutcome], counts: Sequence[float], weighing: Weight
     weighted = np.einsum("mtk,t->mk", terms, shares) * weights
     gives = weighing.give * np.array([leg.give for leg in legs])
     member_costs = weighted.sum(axis=1) + gives
-    cost = (1 - weighing.worst) * member_costs.mean() + weighing.worst * member_costs.max()
+    cost = (1 - weighing.worst) * member_costs[own].mean() + weighing.worst * member_costs[own].max()
     told = ((overshoot, limits.overshoot), (saturation, limits.saturation))
     beyond = sum(max(own - most, 0.0) for own, most in told if not math.isnan(own))
     modulus = max(leg.modulus for leg in legs) if calm else math.nan
@@ -480,8 +488,8 @@ def judged(legs: Sequence[LegOutcome], counts: Sequence[float], weighing: Weight
         cost = 1e3 * (1 + beyond + slow + 10 * max(raised - 1, 0.0))
     return Evaluation(
         float(cost),
-        {key: float(value) for key, value in zip(TERMS, weighted.mean(axis=0), strict=True)}
-        | ({"give": float(gives.mean())} if gives.any() else {}),
+        {key: float(value) for key, value in zip(TERMS, weighted[own].mean(axis=0), strict=True)}
+        | ({"give": float(gives[own].mean())} if gives.any() else {}),
         tuple(float(c) for c in member_costs),
         overshoot,
         saturation,
