@@ -17,6 +17,7 @@ from equimus_ctrl.diagnosis.holdout import split
 from equimus_ctrl.diagnosis.hypothesis import Part, default_free_parameters, parameters_of
 from equimus_ctrl.diagnosis.torque_agreement import more_beside, share_in_torques, shown_in_torques
 from equimus_ctrl.diagnosis.torque_columns import columns_of
+from equimus_ctrl.diagnosis.torque_screening import _inverse_of as inverse_of
 from equimus_ctrl.diagnosis.torque_screening import torque_domain, torque_screen
 from equimus_ctrl.diagnosis.torque_start import laws_asked_for, worth_simulating
 from equimus_ctrl.effects import (
@@ -357,3 +358,10 @@ def test_a_part_narrows_to_places_that_need_it() -> None:
         ("shoulder", {"damping": 0.3}),
         ("reach", {"damping": 4.0}),
     ]
+
+
+def test_a_column_of_which_rounding_leaves_no_square_counts_as_none() -> None:
+    """What parameters undo whole is a direction of nothing; scaled by its square it would outgrow all others."""
+    left = np.array([[4.0, 1e-9, -2e-8], [1e-9, -1e-12, 1e-8], [-2e-8, 1e-8, -1e-13]])
+    assert inverse_of(left) == pytest.approx(np.diag([0.25, 0.0, 0.0]))
+    assert inverse_of(left[1:, 1:]) == pytest.approx(np.zeros((2, 2)))

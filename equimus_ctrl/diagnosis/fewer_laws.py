@@ -1,4 +1,4 @@
-"""One law in the place of several, at the end of a search: they may be what two laws together make of one other.
+"""One law in the place of several, at both ends of a search: they may be what two laws together make of one other.
 
 A search adds law by law, each the best beside those before it. Of a law that it did not look at in time, or fitted to
 the wrong minimum, the first may imitate one half and the second the other; no exchange of one part for another leads

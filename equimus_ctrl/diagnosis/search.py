@@ -126,7 +126,8 @@ class Search(HypothesisMoves):
         first = SearchHistory(first=tuple(screen(self.data, base, pool)))
         state = self.needed(SearchState(base, start, tried=first))
         yield state
-        yield simplified(self, pruned(self, self.exchanged(state)))
+        # Several may be what one law is: exchanged one by one, each takes a round of fits.
+        yield simplified(self, pruned(self, self.exchanged(with_fewer_laws(self, state))))
 
     def begun_in_torques(self, state: SearchState) -> Iterator[SearchState]:
         """A search that begins with the laws that measured torques ask for, step by step; none where they ask for none.

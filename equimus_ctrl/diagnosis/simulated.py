@@ -149,6 +149,8 @@ def simulated(search: Search, end: SearchState) -> Simulated | None:
             if abs(shown.share - 1.0) < NEARER:
                 with suppress(SimulationDiverged):  # so it cannot be what happened
                     found = _begun(search, end, fitted, maker)
+                    if found.end.best.labels != fitted.labels:  # so it was another hypothesis' error
+                        found = found.settled()
                     if _once(found):
                         return replace(found, share=shown.share, gain=shown.gain)
     return None

@@ -159,7 +159,8 @@ class TorqueScreen:
         left = self.beyond.copy()
         if taken:
             left -= self.beyond[:, taken] @ _inverse_of(self.beyond[np.ix_(taken, taken)]) @ self.beyond[taken]
-        scale = np.sqrt(np.maximum(np.diag(self.beyond), 1e-300))
+        scale = _scale(self.beyond)
+        scale[-1] = math.sqrt(max(self.missing, 1e-300))
         left /= np.outer(scale, scale)
         gain = np.zeros(len(self.columns))
         for count in {len(own.place) for own in self.columns}:
@@ -189,9 +190,15 @@ class TorqueScreen:
         return np.asarray(np.clip(self.theta + self._inverse @ aim, self.free.low, self.free.high))
 
 
+def _scale(normal: Array) -> Array:
+    """(k,) by which a matrix of squares has ones on its diagonal; infinite where rounding has left no square."""
+    squares = np.diag(normal)
+    return np.sqrt(np.where(squares > 0, squares, np.inf))
+
+
 def _inverse_of(normal: Array) -> Array:
     """The pseudo-inverse of a symmetric matrix; directions below ``WEAK`` are left out."""
-    scale = np.sqrt(np.maximum(np.diag(normal), 1e-300))
+    scale = _scale(normal)
     strength, turn = np.linalg.eigh(normal / np.outer(scale, scale))
     seen = strength > WEAK * max(float(strength[-1]), 1e-300)
     unit = (turn[:, seen] / strength[seen]) @ turn[:, seen].T
