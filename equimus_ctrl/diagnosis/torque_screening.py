@@ -172,10 +172,10 @@ class TorqueScreen:
         return np.asarray((left[-1, -1] - gain) * scale[-1] ** 2)
 
     def errors(self, chosen: Sequence[Columns]) -> list[Array]:
-        """For each of some candidates (k,) standard errors of its sizes; 0 of one that is taken at its guess."""
+        """For each of some candidates (k,) standard errors of its sizes."""
         taken = [k for own in chosen for k in own.place]
         spread = np.sqrt(np.maximum(np.diag(_inverse_of(self.beyond[np.ix_(taken, taken)])), 0) * CORRELATED)
-        units = np.array([abs(unit) for own in chosen for unit in ([*map(own.unit, own.scaled)] or [0.0])])
+        units = np.array([abs(own.unit(name)) for own in chosen for name in own.scaled])
         return np.split(spread * units, np.cumsum([len(own.place) for own in chosen])[:-1])
 
     def moved(self, chosen: Sequence[Columns], sizes: Sequence[Sequence[float]]) -> Array:

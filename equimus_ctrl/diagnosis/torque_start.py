@@ -138,12 +138,7 @@ def _more_than_chance(data: Data, gain: float, pool: Sequence[Candidate]) -> boo
 
 
 def _sure(own: Columns, values: Sequence[float], error: Array, interval: float) -> tuple[str, ...]:
-    """The places at which a law's sizes differ from nothing; a delay by a sample at least, for commands are held.
-
-    All places of one that has no size.
-    """
-    if own.fixed:
-        return own.candidate.locations
+    """The places at which a law's sizes differ from nothing; a delay by a sample at least, for commands are held."""
     places = {p.name: p.places for p in own.candidate.parameters}
     least = interval if own.candidate.effect.delays else 0.0
     differ = {
@@ -158,10 +153,9 @@ def _sure(own: Columns, values: Sequence[float], error: Array, interval: float) 
 def _extended(robot: Robot, chosen: Sequence[Columns], own: Columns) -> list[Columns] | None:
     """Some chosen candidates and one more, without those that it excludes; None where it cannot be beside them.
 
-    One of which no value is nothing, a saturation's level say, has no size that least squares know: it is beside them
-    as its guess has it.
+    Nor where no value of it is nothing: then least squares know no size of it.
     """
-    if any(own.candidate is old.candidate for old in chosen):
+    if own.fixed or any(own.candidate is old.candidate for old in chosen):
         return None
     part = Part(own.candidate, own.base)
     kept = []

@@ -350,7 +350,7 @@ class TorqueSaturation(BodyEffect):
 
     @classmethod
     def guesses(cls, excitation: Excitation) -> list[dict[str, float]]:
-        return [{"level": share * excitation.drive} for share in (0.95, 0.85, 0.7, 0.55, 0.4, 0.2, 0.1, 0.05, 0.025)]
+        return [{"level": share * excitation.drive} for share in (0.95, 0.85, 0.7, 0.55, 0.4)]
 
     @classmethod
     def depends(cls) -> set[str]:
