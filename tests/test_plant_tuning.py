@@ -107,6 +107,21 @@ def test_a_search_begins_with_placed_gains_slow_enough_for_every_robot(problem: 
     assert set(said.first.values.values()) == {1.0}
 
 
+def test_on_a_hardest_robot_a_candidate_may_cost_a_fifth_more_than_the_first(problem: PlantProblem) -> None:
+    three = replace(problem, members=[problem.members[0]] * 3, hardest=1)
+    assert three.paying == [0, 2]
+
+    def judged(*costs: float) -> Evaluation:
+        return Evaluation(sum(costs), {}, costs, 0.0, 0.0, 0.9, 0.95, True, True)
+
+    first = judged(0.5, 0.6, 0.5)
+    for costs, kept in (((0.4, 0.71, 0.3), True), ((0.4, 0.73, 0.3), False), ((0.9, 0.5, 0.9), True)):
+        own = three.kept_on_hardest(judged(*costs), first)
+        assert own.feasible is kept and (own.cost == sum(costs)) is kept
+    beaten = replace(judged(0.4, 0.73), feasible=False)
+    assert three.kept_on_hardest(beaten, first) is beaten
+
+
 def test_what_a_servo_overshoots_by_itself_is_no_candidate_s_doing() -> None:
     """A servo without friction of damping ratio ζ goes exp(−πζ/√(1 − ζ²)) beyond; one that is damped goes nowhere."""
     servo = """<mujoco><option timestep="0.002" gravity="0 0 0"/><worldbody><body><joint name="slide" type="slide" axis="1 0 0"

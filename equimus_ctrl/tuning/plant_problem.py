@@ -36,6 +36,8 @@ AHEAD = 2
 """Candidates by process that are begun together: what is done when the time is up is not lost."""
 HARDEST = 1
 """Number of the first robot of an ensemble that is hardest to keep stable, the one that is latest."""
+HARDEST_MORE = 0.2
+"""Share by which a candidate may cost more than the first one on a robot that is hardest."""
 CHEAPER = 0.1
 """Share by which a candidate is thought to be cheaper on a robot than any before it, where it was not tried there."""
 NOT_RUN = Outcome(np.full(len(TERMS), math.nan), math.nan, 0.0, False)
@@ -95,7 +97,7 @@ class PlantProblem:
         control_dt: time between two commands [s].
         margin: whether the second robot also has to come to rest with the limits' further dead time.
         hardest: how many robots behind the first are hardest to keep stable: these have to keep the limits, and what
-            they cost does not count, for hardly any robot is like them.
+            they cost does not count, for hardly any robot is like them, see ``kept_on_hardest``.
         starts: of each robot where its runs begin; found when they are needed where there are none.
     """
 
@@ -289,7 +291,7 @@ class PlantProblem:
         # On each robot as cheap as the cheapest candidate there, and some more, is as much as is thought possible.
         whole = [costs for own in so_far if own.within and len(costs := self._paid(own))]
         possible = (1 - CHEAPER) * np.min(whole, axis=0) if whole else np.zeros(len(self.paying))
-        size = AHEAD * pool.count
+        size, first = AHEAD * pool.count, so_far[0] if so_far else None
         for begin in range(0, len(candidates), size):
             part = candidates[begin : begin + size]
             found: list[dict[int, LegOutcome]] = [{} for _ in part]
@@ -316,7 +318,21 @@ class PlantProblem:
                 for index, k in enumerate(going):
                     found[k][latest] = _the_worse(found[k][latest], slower[index])
                     known[k] = self.judge(found[k])
-            yield from (known[k] for k in range(len(part)))
+            first = first or known[0]
+            for k in range(len(part)):
+                yield self.kept_on_hardest(known[k], first)
+
+    def kept_on_hardest(self, own: Evaluation, first: Evaluation) -> Evaluation:
+        """A candidate's; beyond a limit where on a robot that is hardest it costs far more than the first candidate.
+
+        What hardly any robot is like is not to be tuned for, nor to be given up for the others.
+        """
+        count = len(self.members)
+        if not own.feasible or not first.feasible or not len(own.member_costs) == len(first.member_costs) == count:
+            return own
+        hard = [n for n in range(count) if n not in self.paying]
+        more = max((own.member_costs[n] / first.member_costs[n] - 1 - HARDEST_MORE for n in hard), default=0.0)
+        return replace(own, cost=1e3 * (1 + more), feasible=False) if more > 0 else own
 
     @staticmethod
     def _cheaper(going: Sequence[int], known: dict[int, Evaluation], incumbent: float) -> list[int]:
