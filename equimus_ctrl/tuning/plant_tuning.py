@@ -72,7 +72,7 @@ def make_plant_problem(
     problem = PlantProblem(
         controller, entry, space, model, members, tasks, study.weights, study.limits, study.ensemble.noise, study.seed,
         _driven(model, first), span, plant.spec.control_dt, space.growth is None and study.limits.delay_margin > 0,
-        min(hardest(model, study.ensemble), max(len(members) - HARDEST, 0)),
+        0 if study.ensemble.corners_count else min(hardest(model, study.ensemble), max(len(members) - HARDEST, 0)),
     )  # fmt: skip
     problem = replace(problem, space=_slowed(problem))
     # What fails at once fails here, in a sentence.

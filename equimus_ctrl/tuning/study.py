@@ -121,6 +121,8 @@ class EnsembleSettings:
         valve_spread: ± share of the model's own valve effects.
         noise: standard deviation of the measured angles [rad].
         unseen: further legs, never tuned on, that the result is tried on.
+        corners_count: whether what the robots cost that are hardest to keep stable, corners of these ranges, counts as
+            any other's; else they only have to keep limits, see ``PlantProblem.kept_on_hardest``. On a plant.
     """
 
     members: int = 7
@@ -134,6 +136,7 @@ class EnsembleSettings:
     valve_spread: float = 0.2
     noise: float = 0.001
     unseen: int = 40
+    corners_count: bool = True
 
     def __post_init__(self) -> None:
         _check("ensemble", "members", self.members, 1)
