@@ -181,8 +181,17 @@ def test_what_is_tuned_is_written_for_that_robot_and_run_takes_it(
 def test_the_leg_has_its_own_study() -> None:
     assert study_for("pid", nominal_model()).name == "pid.toml"
     assert study_for("pid", Model(ARM)).name == "pid_any.toml"
-    assert study_for("lqr", nominal_model()).name == "leg.toml"
+    assert study_for("nmpc", nominal_model()).name == "leg.toml"
+    assert study_for("lqr", nominal_model()).name == "lqr.toml"
     assert study_for("lqr", Model(ARM)).name == "any.toml"
+
+
+def test_a_study_may_say_that_the_hardest_robots_only_have_to_keep_the_limits() -> None:
+    for counts, hardest in ((True, 0), (False, 1)):
+        study = quick()
+        study = replace(study, ensemble=replace(study.ensemble, corners_count=counts))
+        scenarios = [workflow.load_scenario(o.scenario, ARM, search=False) for o in study.objectives]
+        assert make_plant_problem(study, Model(ARM), scenarios).hardest == hardest
 
 
 def judged(cost: float, members: tuple[float, ...]) -> Evaluation:
@@ -193,8 +202,9 @@ def judged(cost: float, members: tuple[float, ...]) -> Evaluation:
 def three(problem: PlantProblem) -> PlantProblem:
     """The model, the robot that is hardest, and that once more as if it had been drawn."""
     first, hardest = problem.members
-    own = replace(problem, members=[first, hardest, hardest], starts=[problem.starts[k] for k in (0, 1, 1)])
-    assert own.hardest == 1 and own.paying == [0, 2] and own.stages == [[1], [0], [2]]
+    starts = [problem.starts[k] for k in (0, 1, 1)]
+    own = replace(problem, members=[first, hardest, hardest], starts=starts, hardest=1)
+    assert problem.paying == [0, 1] and own.paying == [0, 2] and own.stages == [[1], [0], [2]]
     return own
 
 
