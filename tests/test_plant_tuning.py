@@ -278,18 +278,18 @@ SHORT = {
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("controller", ["lqr", "nmpc"])
+@pytest.mark.parametrize(("controller", "study"), [("lqr", "lqr.toml"), ("nmpc", "leg.toml")])
 def test_regulators_of_the_leg_are_tuned_from_the_study_to_the_file(
-    controller: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    controller: str, study: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """All of the command, shortened: better than where it begins, taken up again where it stopped, and driven by run."""
     monkeypatch.chdir(tmp_path)
     (tmp_path / "tuning").mkdir()
-    text = (ROOT / "tuning" / "leg.toml").read_text()
+    text = (ROOT / "tuning" / study).read_text()
     for long, short in SHORT.items():
         assert long in text
         text = text.replace(long, short)
-    (tmp_path / "tuning" / "leg.toml").write_text(text)
+    (tmp_path / "tuning" / study).write_text(text)
     tuned = workflow.autotune(controller, candidates=8, workers=1)
     record = json.loads(tuned.record.read_text())
     assert record["best"]["feasible"] and record["best"]["cost"] < record["start"]["cost"]
