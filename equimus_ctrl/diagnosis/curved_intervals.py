@@ -1,10 +1,10 @@
 """95 % intervals of an effect's parameters where the fit is curved, by profile likelihood.
 
 θ ± t·s holds where predictions are linear in the parameters. A tether to a far point and a stiffer one to a near point
-pull alike: such a minimum is a bent valley, of which derivatives at its floor tell little. So predictions are simulated
-at both ends of an interval, the other parameters moved along as derivatives say. Where the misfit does not rise as it
-should, the others are refitted there, and the end goes to where the misfit has risen as far (Bates and Watts, 1988,
-Nonlinear Regression Analysis and Its Applications, ch. 6; the signed root of the rise is their ζ).
+pull alike: such a minimum is long and curved, and derivatives there tell little of how long. So predictions are
+simulated at both ends of an interval, the other parameters moved along as derivatives say. Where the misfit does not
+rise as it should, the others are refitted there, and the end goes to where the misfit has risen as far (Bates and
+Watts, 1988, Nonlinear Regression Analysis and Its Applications, ch. 6; the signed root of the rise is their ζ).
 """
 
 from __future__ import annotations
