@@ -330,13 +330,22 @@ def simplified(search: HypothesisMoves, state: SearchState) -> SearchState:
 
 
 def simpler_laws(search: HypothesisMoves, state: SearchState, part: Part) -> list[Part]:
-    """What has fewer parameters at the same places and excludes a part, with its values of what both have."""
+    """What has fewer parameters at the same places, with a part's values of what both have: what that excludes or tends to.
+
+    Args:
+        search: whose candidates they are.
+        state: with the part; what is another of its parts takes no place.
+        part: see above.
+    """
     rich, found = part.candidate, list[Part]()
+    present = state.best.labels
     for candidate in search.allowed_candidates(state.tried):
         if candidate.absent:  # the others stand for these, see ``_in_groups_of``
             continue
-        same = candidate.effect.exclusive == rich.effect.exclusive is not None and candidate.locations == rich.locations
+        excluded = candidate.effect.exclusive == rich.effect.exclusive is not None
+        reached = candidate.effect.name in rich.effect.tends_to and candidate.label not in present
         other = _in_groups_of(rich, candidate)
+        same = (excluded or reached) and candidate.locations == rich.locations
         if same and other.n_parameters < rich.n_parameters:
             common = {**other.guesses[len(other.guesses) // 2], **_shared_values(part, candidate)}
             own = {in_group(name, group): common[name] for name, group in other.own}
@@ -404,9 +413,10 @@ def _exceeds(search: HypothesisMoves, statistic: float, count: int, thresholds: 
 
 def _shared_values(part: Part, other: Candidate) -> dict[str, float]:
     """Values of a part for another candidate at its places, of parameters that both have; means where it has one."""
-    shared: dict[str, float] = {}
+    rich, shared = part.candidate.effect, dict[str, float]()
+    taken = rich.tends_to.get(other.effect.name, {})
     for own in other.parameters:
-        alike = part.candidate.effect.special_cases.get(own.key, (own.key,))
+        alike = (taken[own.key],) if own.key in taken else rich.special_cases.get(own.key, (own.key,))
         values = [
             part.values[p.name]
             for p in part.candidate.parameters

@@ -14,7 +14,7 @@ from typing import Literal
 
 import numpy as np
 
-from equimus_ctrl.diagnosis.alternatives import indistinguishable, listed, simpler_laws
+from equimus_ctrl.diagnosis.alternatives import indistinguishable, listed, simpler_laws, simplified
 from equimus_ctrl.diagnosis.fitting import Data, Fitted, chi_squared
 from equimus_ctrl.diagnosis.holdout import Split, kind_of
 from equimus_ctrl.diagnosis.hypothesis import parameters_of
@@ -118,7 +118,9 @@ def confirmed(
     """
     if not split.validation:
         return state
+    been: set[frozenset[str]] = set()
     while state.best.hypothesis:
+        been.add(state.best.labels)
         if (needless := _needless(search, state)) is not None:
             state = search.moved(state, state.without[needless])
             continue
@@ -138,11 +140,9 @@ def confirmed(
             return state
         tell(parts[place], confirmations[place])
         if search.settings.many_minima:
-            state, by = _another(search, state, place, split)
-            if by:
-                for part, confirmation in zip(state.best.hypothesis, by, strict=True):
-                    tell(part.candidate.label, confirmation)
-                return state
+            state, found = _another(search, state, place, split, been)
+            if found:
+                continue
         if len(state.best.hypothesis) == 1:
             state = listed(search, state)
             if (other := _confirmed_alternative(search, holdout, state)) is not None:
@@ -285,37 +285,43 @@ def _confirmed_alternative(
 
 
 def _another(
-    search: Search, state: SearchState, place: int, split: Split
-) -> tuple[SearchState, tuple[Confirmation, ...]]:
-    """The best hypothesis that fits better than the one less a part, all of whose parts are confirmed, and by what.
+    search: Search, state: SearchState, place: int, split: Split, been: Set[frozenset[str]]
+) -> tuple[SearchState, bool]:
+    """The best hypothesis that fits better than the one less a part, all of whose parts are confirmed; whether one is.
 
     Validation trials may reject one part too many of a kind alone: an asymmetric friction that took an
-    offset's place, say.
+    offset's place, say. A law that a simpler one fits as well as becomes that.
+
+    Args:
+        search: that ended.
+        state: its end.
+        place: of the part.
+        split: with the validation trials.
+        been: labels of what was looked at before, one of whose parts was not needed or not confirmed.
     """
-    rejected, looked_at = state.best, {state.best.labels}
+    rejected, looked_at = state.best, set[frozenset[str]]()
     limit = search.score(state.without[place])
     for fitted in sorted(state.tried.fitted, key=search.score):
-        if len(looked_at) > search.settings.unconfirmed or search.score(fitted) >= limit:
+        if len(looked_at) >= search.settings.unconfirmed or search.score(fitted) >= limit:
             break
-        if fitted.labels in looked_at or not state.tried.allows(fitted.candidates) or _same_effects(fitted, rejected):
+        known = looked_at | been
+        if fitted.labels in known or not state.tried.allows(fitted.candidates) or _same_effects(fitted, rejected):
             continue
         if len(fitted.hypothesis) > search.settings.most_parts:
             continue
         looked_at.add(fitted.labels)
         best = search.data.converge(fitted)
         holdout = HoldoutResiduals(search.data, split, replace(state, best=best))
-        confirmations: list[Confirmation] = []
         for k in range(len(best.hypothesis)):
             without, tried = search.refit(state.tried, best, (*best.hypothesis[:k], *best.hypothesis[k + 1 :]))
             state = replace(state, tried=tried)
             if not search.accepts(without, best):
                 break
-            confirmations.append(confirmation_of(search, holdout, without, best))
-            if not confirms(search, confirmations[-1]):
+            if not confirms(search, confirmation_of(search, holdout, without, best)):
                 break
         else:
-            return search.moved(state, best), tuple(confirmations)
-    return state, ()
+            return simplified(search, search.moved(state, best)), True
+    return state, False
 
 
 def _same_effects(first: Fitted, second: Fitted) -> bool:

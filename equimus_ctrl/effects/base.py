@@ -36,8 +36,8 @@ class Effect:
     in ``nothing`` the value of its first parameter. ``grows_from`` and ``fades_to`` follow from these.
 
     A class has to say ``name``, ``sits_at`` and ``summary``; its base says ``side``. ``robots``, ``alike``,
-    ``exclusive``, ``delays``, ``discontinuous``, ``special_cases``, the sizes of a proof and the methods it says where
-    the default is not right. Of a ``ForceEffect`` ``rubs``, ``loads``, ``scales``, ``own_equations`` and, with dry
+    ``exclusive``, ``delays``, ``discontinuous``, ``special_cases``, ``tends_to``, the sizes of a proof and the methods it
+    says where the default is not right. Of a ``ForceEffect`` ``rubs``, ``loads``, ``scales``, ``own_equations`` and, with dry
     friction, ``mujoco_flags`` follow from the methods that it has, whatever it says.
 
     Attributes:
@@ -85,6 +85,8 @@ class Effect:
     special_cases: ClassVar[Mapping[str, tuple[str, ...]]] = {}
     """Parameter of a law that it excludes → its own that all have that value where it is that law. Where there is none
     of these, both call it by the same name."""
+    tends_to: ClassVar[Mapping[str, Mapping[str, str]]] = {}
+    """Name of another law that it tends to towards an end of a parameter's range → that law's parameter → its own."""
     leg_sizes: ClassVar[tuple[Size, ...]] = ()
     """What a proof draws on the nominal leg: a size for each parameter at each place; none where it draws it not."""
     leg_alike: ClassVar[bool] = False

@@ -160,6 +160,7 @@ class FrictionWarmup(_OverTime):
 
     name = "friction_warmup"
     summary = "viscous friction that fades exponentially while the joint warms up"
+    tends_to = {ViscousFriction.name: {"damping": "size"}}  # noqa: RUF012
     neutral = {"size": 0.0}  # noqa: RUF012
     mjcf_sizes = (Share("size", 0.01, 0.5), Share("time_constant", 0.2, 1.0, of="recording"))
     size: float = parameter("N·m·s/rad", 0.0, 1e4, "torque for each speed that is lost from the beginning until warm")
