@@ -452,7 +452,7 @@ class HypothesisMoves(Scoring):
             better = [o for o in no_larger if self.outdoes(o, best)]
             top = next((o for o in sorted(better, key=self.score) if not self.aliased(o)), None)
             if top is not None:
-                return replace(state, best=top, without=(), alternatives=(), tried=tried.having(best)), True
+                return replace(state, best=top, without=(), alternatives=(), tried=tried), True
         return replace(state, best=best, without=without, alternatives=tuple(alternatives), tried=tried), False
 
     def needed(self, state: SearchState) -> SearchState:

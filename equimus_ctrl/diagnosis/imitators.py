@@ -52,13 +52,13 @@ def with_imitators(search: HypothesisMoves, state: SearchState) -> SearchState:
     """
     if not search.settings.many_minima:
         return state
-    for _ in range(search.settings.rounds_per_part * search.settings.most_parts):
+    for _ in range(search.settings.contests):
         better, tried = _better(search, state)
         state = replace(state, tried=tried)
         if better is None:
             break
         # Not exchanged: that counts parameters, and would take back what has fewer dimensions.
-        state = simplified(search, pruned(search, needed(search, search.moved(state, better))))
+        state = simplified(search, pruned(search, search.needed(replace(state, best=better))))
     return state
 
 
@@ -90,15 +90,11 @@ def _two_in_place(
         search: that ended.
         state: its end.
         k: the part's place.
-        fits: others in its place, beside those of the state and all that were fitted on the way.
+        fits: others in its place, beside those of the state.
     """
     best, tried = state.best, state.tried
     rich, without = best.hypothesis[k].candidate.n_parameters, state.without[k]
-    rest = best.labels - {best.hypothesis[k].candidate.label}
-    alone = [
-        fit for fit in tried.fitted if fit.labels > rest and len(fit.labels - rest) == 1 and fit.labels != best.labels
-    ]
-    others = [*fits, *(state.alternatives[k] if state.alternatives else ()), *alone]
+    others = [*fits, *(state.alternatives[k] if state.alternatives else ())]
     own = without.n_parameters + rich
 
     def near(other: Fitted) -> bool:
@@ -116,21 +112,6 @@ def _two_in_place(
         more, tried = search.challenge(tried, other)
         found += [fit for fit in more if fit.n_parameters <= own and len(fit.hypothesis) <= search.settings.most_parts]
     return found, tried
-
-
-def needed(search: HypothesisMoves, state: SearchState) -> SearchState:
-    """The end without the parts whose gain is not accepted.
-
-    Raises:
-        BudgetSpent: where the budget ends.
-        SimulationDiverged: where a hypothesis without one of its parts diverges.
-    """
-    while state.without:
-        k = min(range(len(state.without)), key=lambda place: state.without[place].deviance)
-        if search.accepts(state.without[k], state.best):
-            break
-        state = search.moved(state, state.without[k])
-    return state
 
 
 def imitations(search: HypothesisMoves, state: SearchState, k: int) -> list[Fitted]:

@@ -49,7 +49,6 @@ first-order gains predict little. What differs:
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
@@ -223,7 +222,7 @@ class Search(HypothesisMoves):
         top = self._top(best, fitted)
         force = cache(lambda: self._strongest_force(accepted))
         outdone = top is not None and self._outdone(accepted, top, force)
-        if self._may_try_all(best) and (top is None or outdone or self._unforeseen(tried, best, top)):
+        if self._may_try_all(best) and (top is None or outdone):
             self.notify("what could be missing, all there is", best.label)
             known = [option.hypothesis[-1].candidate.label for option in fitted]
             others, tried = self.extensions(tried, best, known=known)
@@ -316,19 +315,6 @@ class Search(HypothesisMoves):
     def _may_try_all(self, best: Fitted) -> bool:
         """Whether first-order gains beside a hypothesis predict little, and it may have more parts."""
         return self.settings.many_minima and len(best.hypothesis) < self.settings.most_parts and self.data.strong(best)
-
-    def _unforeseen(self, tried: SearchHistory, best: Fitted, top: Fitted) -> bool:
-        """Whether the first effect gains enough although to first order it would not: then nothing is known of others.
-
-        Where commands wind up against a limit that the model does not have, say, its refitted motion is another one.
-        """
-        if best.hypothesis:
-            return False
-        added = top.hypothesis[-1].candidate
-        expected = max(
-            (own.gains.estimated for own in tried.first if own.candidate.label == added.label), default=math.inf
-        )
-        return self.data.thresholds.decides(lambda t: expected < self.threshold(added.n_parameters, t))
 
     def _beside_runners_up(self, state: SearchState) -> tuple[list[Fitted], SearchHistory]:
         """Two parts of which the first is not the best one alone, but gains about as much.
