@@ -107,6 +107,7 @@ def held_out_rejects(monkeypatch: pytest.MonkeyPatch, rejected: Sequence[tuple[f
     monkeypatch.setattr(confirmation, "HoldoutResiduals", lambda *a: None)
     monkeypatch.setattr(confirmation, "carried_over", carried_over)
     monkeypatch.setattr(confirmation, "_lost_in_scatter", lambda *given: None)
+    monkeypatch.setattr(confirmation, "_makes_worse", lambda *given: None)
     return SimpleNamespace(validation=[1], train=(), short_segments=(), other=None)
 
 

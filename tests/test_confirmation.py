@@ -13,7 +13,6 @@ from pendulum_runs import MOTOR, PENDULUM, recorded
 
 from equimus_ctrl.diagnosis.confirmation import (
     Confirmation,
-    HoldoutResiduals,
     _makes_worse,
     _needless,
     carried_over,
@@ -22,6 +21,7 @@ from equimus_ctrl.diagnosis.confirmation import (
 )
 from equimus_ctrl.diagnosis.fitting import Data, chi_squared
 from equimus_ctrl.diagnosis.holdout import split
+from equimus_ctrl.diagnosis.holdout_residuals import HoldoutResiduals
 from equimus_ctrl.diagnosis.hypothesis import Candidate, Part, default_free_parameters
 from equimus_ctrl.diagnosis.policy import Thresholds
 from equimus_ctrl.diagnosis.stages import _failed

@@ -24,11 +24,13 @@ from equimus_ctrl.effects import (
     CoulombFriction,
     DirectionalLoadFriction,
     Effect,
+    FrictionWarmup,
     LoadFriction,
     PayloadMass,
     PositionDependentFriction,
     SpringTether,
     TetherWithFreeLength,
+    ViscousFriction,
 )
 from equimus_ctrl.identification.noise import white_noise
 from equimus_ctrl.identification.parameters import free_parameters
@@ -85,9 +87,23 @@ def test_the_simpler_law_begins_between_the_sizes_of_the_richer_one() -> None:
     rich, simple = (Candidate(law, ("pan",), ()) for law in (AsymmetricFriction, CoulombFriction))
     simple = replace(simple, guesses=({"friction": 9.0},))
     search: Any = SimpleNamespace(allowed_candidates=lambda tried: [rich, simple])
-    state: Any = SimpleNamespace(tried=None)
+    state: Any = SimpleNamespace(tried=None, best=SimpleNamespace(labels={rich.label}))
     (part,) = simpler_laws(search, state, Part(rich, {"forward": 0.1, "backward": 0.3}))
     assert part.candidate.effect is CoulombFriction and part.values == {"friction": pytest.approx(0.2)}
+
+
+def test_what_a_law_tends_to_is_simpler_where_it_is_not_there_already() -> None:
+    """Friction that fades far more slowly than recordings last is viscous friction, but not beside some."""
+    fading, steady = (Candidate(law, ("pan",), ()) for law in (FrictionWarmup, ViscousFriction))
+    steady = replace(steady, guesses=({"damping": 9.0},))
+    search: Any = SimpleNamespace(allowed_candidates=lambda tried: [fading, steady])
+    part = Part(fading, {"size": 3.0, "time_constant": 5e3})
+    alone: Any = SimpleNamespace(tried=None, best=SimpleNamespace(labels={fading.label}))
+    (simple,) = simpler_laws(search, alone, part)
+    assert simple.candidate is steady and simple.values == {"damping": 3.0}
+    both: Any = SimpleNamespace(tried=None, best=SimpleNamespace(labels={fading.label, steady.label}))
+    assert simpler_laws(search, both, part) == []
+    assert simpler_laws(search, alone, Part(steady, {"damping": 3.0})) == []
 
 
 @lru_cache(maxsize=1)

@@ -207,6 +207,23 @@ def test_what_is_said_of_an_effect_is_what_was_said_last(monkeypatch: pytest.Mon
     assert {label: one.found for label, one in said.items()} == {RUB: 1.0, DEAD: 1.0}
 
 
+@pytest.mark.parametrize(("simple", "left"), [(1010.0, {OFF, RUB}), (1500.0, {OFF, STICK})])
+def test_what_takes_a_rejected_effects_place_is_as_simple_as_it_may_be(
+    monkeypatch: pytest.MonkeyPatch, simple: float, left: set[str]
+) -> None:
+    known = Known(
+        {(): 5000.0, (OFF,): 3000.0, (DEAD,): 4000.0, (STICK,): 3500.0, (RUB,): 3600.0, (OFF, DEAD): 900.0,
+         (OFF, STICK): 1000.0, (OFF, RUB): simple}
+    )  # fmt: skip
+    split = held_out_rejects(monkeypatch, [(frozenset({OFF}), frozenset({OFF, DEAD}))])
+    search = OnPaper(known, SearchSettings(many_minima=True))
+    begun = ended(known, OFF, DEAD)
+    begun = replace(begun, tried=begun.tried.having(known(OFF, STICK)))
+    said: dict[str, confirmation.Confirmation] = {}
+    end = confirmation.confirmed(search, begun, split, said.__setitem__)
+    assert end.best.labels == left and said.keys() - {DEAD} == left and said[DEAD].found == 0.0
+
+
 @pytest.mark.parametrize(
     ("fitted_alone", "left"), [((RUB, OFF), {RUB, OFF}), ((RUB,), {RUB}), ((), set[str]())], ids=["both", "one", "none"]
 )
@@ -220,7 +237,6 @@ def test_held_out_trials_judge_what_an_ended_search_had_come_to(
     )  # fmt: skip
     rejects = [(frozenset({RUB, OFF}), frozenset({RUB, OFF, DEAD}))]
     split = held_out_rejects(monkeypatch, rejects)
-    monkeypatch.setattr(confirmation, "_makes_worse", lambda search, holdout, state: None)
 
     class Ended(OnPaper):
         def refit(

@@ -330,7 +330,7 @@ def simplified(search: HypothesisMoves, state: SearchState) -> SearchState:
 
 
 def simpler_laws(search: HypothesisMoves, state: SearchState, part: Part) -> list[Part]:
-    """What has fewer parameters at the same places, with a part's values of what both have: what that excludes or tends to.
+    """Laws of fewer parameters at a part's places that it excludes or tends to, with its values of what both have.
 
     Args:
         search: whose candidates they are.

@@ -11,10 +11,10 @@ import numpy as np
 from scipy.special import chdtrc, chdtri
 
 from equimus_ctrl.diagnosis.alternatives import in_place, replacement
-from equimus_ctrl.diagnosis.confirmation import HoldoutResiduals
 from equimus_ctrl.diagnosis.curved_intervals import curved_ends
 from equimus_ctrl.diagnosis.fitting import Data, Fitted
 from equimus_ctrl.diagnosis.holdout import Split
+from equimus_ctrl.diagnosis.holdout_residuals import HoldoutResiduals
 from equimus_ctrl.diagnosis.hypothesis import Candidate, Part
 from equimus_ctrl.diagnosis.policy import Thresholds
 from equimus_ctrl.diagnosis.results import (

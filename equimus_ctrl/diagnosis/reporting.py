@@ -6,9 +6,9 @@ import time
 from collections.abc import Iterable
 from dataclasses import replace
 
-from equimus_ctrl.diagnosis.confirmation import HoldoutResiduals
 from equimus_ctrl.diagnosis.experiment import separating
 from equimus_ctrl.diagnosis.findings import beyond_range, detectable, findings, named_part, notes, ranking, verdict
+from equimus_ctrl.diagnosis.holdout_residuals import HoldoutResiduals
 from equimus_ctrl.diagnosis.localization import excess_variances, localise
 from equimus_ctrl.diagnosis.noise_size import noise_sizes
 from equimus_ctrl.diagnosis.residuals import Residuals

@@ -22,10 +22,11 @@ from scipy.special import chdtri
 
 from equimus_ctrl.diagnosis.alternatives import without_parts
 from equimus_ctrl.diagnosis.budget import BudgetSpent
-from equimus_ctrl.diagnosis.confirmation import HoldoutResiduals, carried_over, confirms
+from equimus_ctrl.diagnosis.confirmation import carried_over, confirms
 from equimus_ctrl.diagnosis.coordinates import Coordinate
 from equimus_ctrl.diagnosis.fitting import Fitted
 from equimus_ctrl.diagnosis.holdout import Split
+from equimus_ctrl.diagnosis.holdout_residuals import HoldoutResiduals
 from equimus_ctrl.diagnosis.hypothesis import Candidate, Part
 from equimus_ctrl.diagnosis.localization import speeds
 from equimus_ctrl.diagnosis.place_excitation import excitation_of

@@ -21,11 +21,12 @@ import numpy as np
 
 from equimus_ctrl.diagnosis.alternatives import listed
 from equimus_ctrl.diagnosis.budget import BudgetSpent
-from equimus_ctrl.diagnosis.confirmation import Confirmation, HoldoutResiduals, confirmed, confirmed_as_fitted
+from equimus_ctrl.diagnosis.confirmation import Confirmation, confirmed, confirmed_as_fitted
 from equimus_ctrl.diagnosis.discretization import step_counted, without_step_error
 from equimus_ctrl.diagnosis.findings import equivalents, named_candidate, named_part, ranking
 from equimus_ctrl.diagnosis.fitting import Data, Fitted
 from equimus_ctrl.diagnosis.holdout import Split
+from equimus_ctrl.diagnosis.holdout_residuals import HoldoutResiduals
 from equimus_ctrl.diagnosis.hypothesis import Candidate, Part
 from equimus_ctrl.diagnosis.initial_states import NAME as INITIAL_STATES
 from equimus_ctrl.diagnosis.initial_states import free_initial_states

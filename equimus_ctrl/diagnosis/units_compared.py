@@ -17,13 +17,13 @@ from functools import cache, partial
 
 import numpy as np
 
-from equimus_ctrl.diagnosis.confirmation import HoldoutResiduals
 from equimus_ctrl.diagnosis.differences import AnotherUnit, Departure, Difference
 from equimus_ctrl.diagnosis.estimates import Estimate, Named
 from equimus_ctrl.diagnosis.findings import estimates_of, log_p_value
 from equimus_ctrl.diagnosis.fitting import Fitted, chi_squared
 from equimus_ctrl.diagnosis.groups import Apart
 from equimus_ctrl.diagnosis.holdout import Split
+from equimus_ctrl.diagnosis.holdout_residuals import HoldoutResiduals
 from equimus_ctrl.diagnosis.hypothesis import Part
 from equimus_ctrl.diagnosis.search import Search
 from equimus_ctrl.diagnosis.search_state import SearchState

@@ -36,9 +36,9 @@ class Effect:
     in ``nothing`` the value of its first parameter. ``grows_from`` and ``fades_to`` follow from these.
 
     A class has to say ``name``, ``sits_at`` and ``summary``; its base says ``side``. ``robots``, ``alike``,
-    ``exclusive``, ``delays``, ``discontinuous``, ``special_cases``, ``tends_to``, the sizes of a proof and the methods it
-    says where the default is not right. Of a ``ForceEffect`` ``rubs``, ``loads``, ``scales``, ``own_equations`` and, with dry
-    friction, ``mujoco_flags`` follow from the methods that it has, whatever it says.
+    ``exclusive``, ``delays``, ``discontinuous``, ``special_cases``, ``tends_to``, the sizes of a proof and the methods
+    it says where the default is not right. Of a ``ForceEffect`` ``rubs``, ``loads``, ``scales``, ``own_equations`` and,
+    with dry friction, ``mujoco_flags`` follow from the methods that it has, whatever it says.
 
     Attributes:
         location: the joint, actuator or body it sits at.
