@@ -46,6 +46,7 @@ class Known:
     outdone: Sequence[frozenset[str]] = ()
     aliased: Sequence[str] = ()
     same: Sequence[frozenset[str]] = ()
+    lost: Sequence[str] = ()
 
     def __call__(self, *labels: str) -> Fitted:
         return self.fits[frozenset(labels)]
@@ -93,6 +94,9 @@ class OnPaper(Search):
 
     def _leaves_the_same(self, best: Fitted, other: Fitted) -> bool:
         return best.labels | other.labels in self.known.same
+
+    def over_scatter(self, simple: Fitted, rich: Fitted, t: Thresholds) -> float:
+        return 0.5 if (rich.labels - simple.labels) & set(self.known.lost) else 2.0
 
     def _outdone(self, best: Fitted, top: Fitted, force: Callable[[], float | None]) -> bool:
         return top.labels in self.known.outdone

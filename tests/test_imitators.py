@@ -98,6 +98,14 @@ def test_what_is_not_needed_beside_an_imitator_goes(monkeypatch: pytest.MonkeyPa
     assert with_imitators(OnPaper(known), ended(known, OFF, DEAD)).best.labels == {OFF, DEAD}
 
 
+def test_what_else_could_be_is_not_asked_of_what_the_scatter_hides(monkeypatch: pytest.MonkeyPatch) -> None:
+    fits = {(): 5000.0, (OFF,): 3000.0, (DEAD,): 3000.0, (FULL,): 4000.0, (OFF, DEAD): 1000.0, (FULL, DEAD): 900.0}
+    monkeypatch.setattr(imitators, "imitations", lambda search, state, k: [known(FULL, DEAD)] if k == 0 else [])
+    for lost, best in (((), {FULL, DEAD}), ((OFF,), {OFF, DEAD}), ((DEAD,), {FULL, DEAD})):
+        known = Known(fits, lost=lost)
+        assert with_imitators(OnPaper(known, MANY), ended(known, OFF, DEAD)).best.labels == best
+
+
 def test_what_is_fitted_only_to_be_listed_is_not_tried_on_held_out_trials(monkeypatch: pytest.MonkeyPatch) -> None:
     known = Known({(): 5000.0, (RUB,): 1000.0, (DEAD,): 1005.0})
     monkeypatch.setattr(imitators, "imitations", lambda search, state, k: [known(DEAD)])

@@ -10,6 +10,7 @@ own parameters, how much it would imitate of what the part changes,
 c what the part changes of the predictions, r that with the residuals that it leaves, c' what the candidate changes at
 its best guess and size, all whitened by the end's noise, P the projection orthogonal to all other parameters. Of what
 is far above the noise, noise has no say in it. What imitates a good share is fitted from there until it has converged.
+Not asked is what could be a part whose gain does not stand out from the scatter of the residuals: none is confirmed.
 
 A law with many parameters may have fewer dimensions in what is seen, see ``Data.dimensions``. So Schwarz's cost of a
 law that fits better is of dimensions here, as of what is listed as not distinguishable.
@@ -67,6 +68,8 @@ def _better(search: HypothesisMoves, state: SearchState) -> tuple[Fitted | None,
     best, tried = state.best, state.tried
     found: list[Fitted] = []
     for k in range(len(best.hypothesis)):
+        if search.lost(state.without[k], best):  # held-out trials are not asked of such a part, nor of what is like it
+            continue
         fits = imitations(search, state, k)
         two, tried = _two_in_place(search, replace(state, tried=tried.having(*fits)), k, fits)
         found += [*fits, *two]

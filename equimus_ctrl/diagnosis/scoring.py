@@ -65,6 +65,10 @@ class Scoring:
         """How far a gain stands out from the residuals' scatter, see ``block_scatter``: not where it is below 1."""
         return stands_out(self.scatter_beside(simple, rich, t), extra_parameters(simple, rich), len(self.pool), t)
 
+    def lost(self, simple: Fitted, rich: Fitted) -> bool:
+        """Whether a gain does not stand out from the residuals' scatter, so that no part is confirmed by it."""
+        return self.data.thresholds.decides(lambda t: self.over_scatter(simple, rich, t) < 1)
+
     def scatter_beside(self, simple: Fitted, rich: Fitted, t: Thresholds) -> BlockScatter:
         """The residuals' scatter along what a richer hypothesis changes."""
         return block_scatter(self.data.times, simple, rich, round(t.blocks))

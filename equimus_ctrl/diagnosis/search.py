@@ -61,7 +61,6 @@ from equimus_ctrl.diagnosis.fitting import Fitted, chi_squared
 from equimus_ctrl.diagnosis.hypothesis import Candidate
 from equimus_ctrl.diagnosis.hypothesis_moves import HypothesisMoves
 from equimus_ctrl.diagnosis.imitators import with_imitators
-from equimus_ctrl.diagnosis.policy import Thresholds
 from equimus_ctrl.diagnosis.residual_force import force_candidates, linearise_fit
 from equimus_ctrl.diagnosis.richer_laws import richer
 from equimus_ctrl.diagnosis.screening import screen
@@ -242,11 +241,7 @@ class Search(HypothesisMoves):
 
         No such part is confirmed. But of two that are missing each may be lost in what the other leaves.
         """
-
-        def lost(t: Thresholds) -> bool:
-            return any(self.over_scatter(rest, best, t) < 1 for rest in without)
-
-        return self.settings.many_minima and self.data.thresholds.decides(lost)
+        return self.settings.many_minima and any(self.lost(rest, best) for rest in without)
 
     def _stop_reason(self, options: _Options, rounds_outdone: int) -> StopReason | None:
         """Why the search stops before any of some options; None where it takes one."""
