@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -27,6 +29,7 @@ from equimus_ctrl.models.model import Model
 from equimus_ctrl.robots.mjcf.robot import MjcfRobot
 
 MANY = SearchSettings(many_minima=True)
+TWO = {(): 5000.0, (OFF,): 3000.0, (DEAD,): 3000.0, (FULL,): 4000.0, (OFF, DEAD): 1000.0, (FULL, DEAD): 900.0}
 NOMINAL = Model(MjcfRobot("arm", PENDULUM.format(drive=MOTOR)))
 
 
@@ -99,11 +102,30 @@ def test_what_is_not_needed_beside_an_imitator_goes(monkeypatch: pytest.MonkeyPa
 
 
 def test_what_else_could_be_is_not_asked_of_what_the_scatter_hides(monkeypatch: pytest.MonkeyPatch) -> None:
-    fits = {(): 5000.0, (OFF,): 3000.0, (DEAD,): 3000.0, (FULL,): 4000.0, (OFF, DEAD): 1000.0, (FULL, DEAD): 900.0}
     monkeypatch.setattr(imitators, "imitations", lambda search, state, k: [known(FULL, DEAD)] if k == 0 else [])
     for lost, best in (((), {FULL, DEAD}), ((OFF,), {OFF, DEAD}), ((DEAD,), {FULL, DEAD})):
-        known = Known(fits, lost=lost)
+        known = Known(TWO, lost=lost)
         assert with_imitators(OnPaper(known, MANY), ended(known, OFF, DEAD)).best.labels == best
+
+
+def test_what_else_could_be_is_not_asked_of_what_makes_validation_trials_worse(monkeypatch: pytest.MonkeyPatch) -> None:
+    known = Known(TWO)
+    monkeypatch.setattr(imitators, "imitations", lambda search, state, k: [known(FULL, DEAD)] if k == 0 else [])
+    for worse, validation, best in (
+        ((), [1], {FULL, DEAD}), ((OFF,), [1], {OFF, DEAD}), ((DEAD,), [1], {FULL, DEAD}), ((OFF,), [], {FULL, DEAD})
+    ):  # fmt: skip
+
+        class There:
+            def __init__(self, *given: object) -> None: ...
+
+            def gain(self, simple: Fitted, rich: Fitted, worse: Sequence[str] = worse) -> float:
+                return -1.0 if (rich.labels - simple.labels) & set(worse) else 1.0
+
+        monkeypatch.setattr(imitators, "HoldoutResiduals", There)
+        held_out: Any = SimpleNamespace(validation=validation)
+        search = OnPaper(known, MANY)
+        object.__setattr__(search, "held_out", held_out)
+        assert with_imitators(search, ended(known, OFF, DEAD)).best.labels == best
 
 
 def test_what_is_fitted_only_to_be_listed_is_not_tried_on_held_out_trials(monkeypatch: pytest.MonkeyPatch) -> None:

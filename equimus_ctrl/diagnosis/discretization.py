@@ -73,7 +73,9 @@ def without_step_error(
     needless = [k for k in uncertain if not search.accepts(finely(end.without[k]), exact_best)]
     if not needless and not analysis.unexplained:
         return None
-    exact_search = Search(data, search.pool, search.settings, fits_with_other_engine=end.tried.fitted)
+    exact_search = Search(
+        data, search.pool, search.settings, fits_with_other_engine=end.tried.fitted, held_out=search.held_out
+    )
     base = finely(end.base)
     # Alternatives were fitted with the XML's step, so their likelihoods are not comparable with what follows.
     anew = SearchHistory(first=end.tried.first, rejected=end.tried.rejected)

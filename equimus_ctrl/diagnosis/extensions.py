@@ -12,6 +12,7 @@ import numpy as np
 from equimus_ctrl import computer
 from equimus_ctrl.diagnosis.fitting import CONVERGED_GAIN, Fitted
 from equimus_ctrl.diagnosis.group_splits import own_in_each_group, splits_by_group
+from equimus_ctrl.diagnosis.holdout import Split
 from equimus_ctrl.diagnosis.hypothesis import Candidate, Hypothesis, Part
 from equimus_ctrl.diagnosis.policy import Thresholds
 from equimus_ctrl.diagnosis.richer_laws import richer
@@ -48,11 +49,14 @@ class Extensions(Scoring):
         fits_on_short_intervals: hypotheses with these candidates, fitted to short shooting intervals of the same
             trials, to start from.
         fits_with_other_engine: those fitted to the same segments with another engine, as further alternatives.
+        held_out: validation trials. Nothing is chosen by them: where a part makes them worse, it is not looked for what
+            else it could be. None where there are none.
     """
 
     notify: Notify = lambda stage, best: None
     fits_on_short_intervals: Sequence[Fitted] = ()
     fits_with_other_engine: Sequence[Fitted] = ()
+    held_out: Split | None = None
 
     def allowed_candidates(self, tried: SearchHistory) -> list[Candidate]:
         """The candidates that were not rejected; of laws with parameters of their own at each place what is left."""

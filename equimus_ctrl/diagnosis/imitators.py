@@ -10,7 +10,9 @@ own parameters, how much it would imitate of what the part changes,
 c what the part changes of the predictions, r that with the residuals that it leaves, c' what the candidate changes at
 its best guess and size, all whitened by the end's noise, P the projection orthogonal to all other parameters. Of what
 is far above the noise, noise has no say in it. What imitates a good share is fitted from there until it has converged.
-Not asked is what could be a part whose gain does not stand out from the scatter of the residuals: none is confirmed.
+
+Not asked is what else could be a part whose gain does not stand out from the scatter of the residuals, for none is
+confirmed, or with which validation trials get worse, for nothing that is there would do that.
 
 A law with many parameters may have fewer dimensions in what is seen, see ``Data.dimensions``. So Schwarz's cost of a
 law that fits better is of dimensions here, as of what is listed as not distinguishable.
@@ -26,6 +28,7 @@ from dataclasses import replace
 from equimus_ctrl import computer
 from equimus_ctrl.diagnosis.alternatives import pruned, simplified
 from equimus_ctrl.diagnosis.fitting import CONVERGED_GAIN, Fitted
+from equimus_ctrl.diagnosis.holdout_residuals import HoldoutResiduals
 from equimus_ctrl.diagnosis.hypothesis import Part
 from equimus_ctrl.diagnosis.hypothesis_moves import HypothesisMoves
 from equimus_ctrl.diagnosis.screening import Screened, screen
@@ -68,7 +71,7 @@ def _better(search: HypothesisMoves, state: SearchState) -> tuple[Fitted | None,
     best, tried = state.best, state.tried
     found: list[Fitted] = []
     for k in range(len(best.hypothesis)):
-        if search.lost(state.without[k], best):  # held-out trials are not asked of such a part, nor of what is like it
+        if search.lost(state.without[k], best) or _spoils(search, state, k):
             continue
         fits = imitations(search, state, k)
         two, tried = _two_in_place(search, replace(state, tried=tried.having(*fits)), k, fits)
@@ -78,6 +81,13 @@ def _better(search: HypothesisMoves, state: SearchState) -> tuple[Fitted | None,
     before = state.tried.fitted
     listed = (*tried.imitations, *(fit for fit in tried.fitted[len(before) :] if fit is not top))
     return top, replace(tried, fitted=before if top is None else (*before, top), imitations=listed)
+
+
+def _spoils(search: HypothesisMoves, state: SearchState, k: int) -> bool:
+    """Whether validation trials get worse with a part; not where there are none."""
+    if search.held_out is None or not search.held_out.validation:
+        return False
+    return HoldoutResiduals(search.data, search.held_out, state).gain(state.without[k], state.best) < 0
 
 
 def _two_in_place(

@@ -58,7 +58,8 @@ def refit(inputs: DiagnosisInputs) -> State:
         base = base if short is None else data.base_from(short, base)
     looked_for = {name: effect for name, effect in REGISTRY.items() if name not in inputs.settings.exclude}
     pool = with_groups(candidates(model, split.train, looked_for), groups_of(split.train))
-    search = Search(data, pool, data.policy.applied(inputs.settings.search), _round_notify(inputs.progress))
+    settings, notify = data.policy.applied(inputs.settings.search), _round_notify(inputs.progress)
+    search = Search(data, pool, settings, notify, held_out=split)
     with suppress(BudgetSpent):
         if groups_of(split.train):
             apart = told_apart(Apart(search, base), split)
@@ -118,7 +119,7 @@ def searched_from_short(search: Search, end: SearchState, split: Split, base: Fi
     best = short_end.best
     if not best.hypothesis or best.labels == end.best.labels:
         return search, end
-    other = Search(data, search.pool, settings, notify, short_end.tried.fitted)
+    other = replace(search, fits_on_short_intervals=short_end.tried.fitted)
     begin = (best.fit.theta, [s.start for s in data.segments])
     try:
         noise = white_noise(best.fit.residuals)

@@ -140,7 +140,8 @@ def _without_step(state: State, made: Simulated | None) -> State:
     if made is None:
         return state
     inputs = replace(state.inputs, split=made.without_error(state.inputs.split))
-    state = replace(state, inputs=inputs, notes=(*state.notes, made.sentence))
+    search = replace(state.search, held_out=inputs.split)
+    state = replace(state, inputs=inputs, search=search, notes=(*state.notes, made.sentence))
     return state.decided("search", "the error of MuJoCo's physics step taken off the recordings", made.sentence)
 
 
