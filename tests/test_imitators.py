@@ -12,7 +12,7 @@ import pytest
 from pendulum_runs import MOTOR, PENDULUM, recorded
 from search_on_paper import DEAD, FULL, OFF, RUB, STICK, Known, OnPaper, ended
 
-from equimus_ctrl.diagnosis import imitators
+from equimus_ctrl.diagnosis import extensions, imitators
 from equimus_ctrl.diagnosis.candidates import candidates
 from equimus_ctrl.diagnosis.compensation import compensated
 from equimus_ctrl.diagnosis.fitting import Data, Fitted
@@ -119,9 +119,9 @@ def test_what_else_could_be_is_not_asked_of_what_makes_validation_trials_worse(m
             def __init__(self, *given: object) -> None: ...
 
             def gain(self, simple: Fitted, rich: Fitted, worse: Sequence[str] = worse) -> float:
-                return -1.0 if (rich.labels - simple.labels) & set(worse) else 1.0
+                return -17.0 if (rich.labels - simple.labels) & set(worse) else -15.0
 
-        monkeypatch.setattr(imitators, "HoldoutResiduals", There)
+        monkeypatch.setattr(extensions, "HoldoutResiduals", There)
         held_out: Any = SimpleNamespace(validation=validation)
         search = OnPaper(known, MANY)
         object.__setattr__(search, "held_out", held_out)

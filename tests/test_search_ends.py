@@ -461,8 +461,10 @@ SCATTERED: list[tuple[StopReason, dict[frozenset[str], Sequence[str]], set[str],
 ]
 
 
+@pytest.mark.parametrize("doubt", [LOST, "validation trials get worse"])
 @pytest.mark.parametrize(("reason", "scattered", "labels", "exchanged"), SCATTERED)
-def test_what_does_not_stand_out_from_the_scatter_is_looked_beyond_once(
+def test_what_does_not_stand_out_from_the_scatter_or_makes_validation_trials_worse_is_looked_beyond_once(
+    doubt: StopReason,
     reason: StopReason,
     scattered: dict[frozenset[str], Sequence[str]],
     labels: set[str],
@@ -471,10 +473,13 @@ def test_what_does_not_stand_out_from_the_scatter_is_looked_beyond_once(
 ) -> None:
     """Nothing is exchanged beside it: that takes most of a search's time."""
 
-    def over_scatter(search: OnPaper, simple: Fitted, rich: Fitted, t: Thresholds) -> float:
-        return 0.5 if (rich.labels - simple.labels) & set(scattered.get(rich.labels, ())) else 2.0
+    def doubtful(simple: Fitted, rich: Fitted) -> bool:
+        return bool((rich.labels - simple.labels) & set(scattered.get(rich.labels, ())))
 
-    monkeypatch.setattr(OnPaper, "over_scatter", over_scatter)
+    if doubt == LOST:
+        monkeypatch.setattr(OnPaper, "over_scatter", lambda own, one, other, t: 0.5 if doubtful(one, other) else 2.0)
+    else:
+        monkeypatch.setattr(OnPaper, "spoils", lambda own, one, other: doubtful(one, other))
     own, beside = OnPaper.exchanged, list[frozenset[str]]()
 
     def exchange(search: OnPaper, state: SearchState) -> SearchState:
@@ -486,7 +491,7 @@ def test_what_does_not_stand_out_from_the_scatter_is_looked_beyond_once(
     known = Known({(): 9e3, (RUB,): 5e3, (OFF,): 8e3, (DEAD,): 8.5e3, (RUB, OFF): 3e3, (RUB, DEAD): 4.5e3,
                    (OFF, DEAD): 7.5e3, (RUB, OFF, DEAD): 1e3})  # fmt: skip
     end = OnPaper(known, SearchSettings(many_minima=True, patience=1)).run(known())
-    assert end.stopped == reason and end.best.labels == labels
+    assert end.stopped == (doubt if reason == LOST else reason) and end.best.labels == labels
     assert (BOTH in beside) is (BOTH not in scattered) and (ALL in beside) is exchanged
     few = OnPaper(known, SearchSettings()).run(known())  # where minima are few it counts as any other
     assert few.best.labels == {RUB, OFF, DEAD}

@@ -13,6 +13,7 @@ from equimus_ctrl import computer
 from equimus_ctrl.diagnosis.fitting import CONVERGED_GAIN, Fitted
 from equimus_ctrl.diagnosis.group_splits import own_in_each_group, splits_by_group
 from equimus_ctrl.diagnosis.holdout import Split
+from equimus_ctrl.diagnosis.holdout_residuals import HoldoutResiduals
 from equimus_ctrl.diagnosis.hypothesis import Candidate, Hypothesis, Part
 from equimus_ctrl.diagnosis.policy import Thresholds
 from equimus_ctrl.diagnosis.richer_laws import richer
@@ -24,6 +25,7 @@ from equimus_ctrl.diagnosis.search_state import (
     Proposal,
     RivalDeviance,
     SearchHistory,
+    SearchState,
     no_rival,
 )
 from equimus_ctrl.diagnosis.torque_agreement import shown_in_torques
@@ -49,14 +51,24 @@ class Extensions(Scoring):
         fits_on_short_intervals: hypotheses with these candidates, fitted to short shooting intervals of the same
             trials, to start from.
         fits_with_other_engine: those fitted to the same segments with another engine, as further alternatives.
-        held_out: validation trials. Nothing is chosen by them: where a part makes them worse, it is not looked for what
-            else it could be. None where there are none.
+        held_out: trials that judge what was found. Where validation trials get worse with a part, it is not looked for
+            what else that could be, nor what else is missing beside it.
     """
 
     notify: Notify = lambda stage, best: None
     fits_on_short_intervals: Sequence[Fitted] = ()
     fits_with_other_engine: Sequence[Fitted] = ()
     held_out: Split | None = None
+
+    def spoils(self, simple: Fitted, rich: Fitted) -> bool:
+        """Whether what a hypothesis has more than another makes validation trials worse; not where there are none.
+
+        By more than what two models differ by that they do not decide between: what they do not show spoils nothing.
+        """
+        if self.held_out is None or not self.held_out.validation:
+            return False
+        gain = HoldoutResiduals(self.data, self.held_out, SearchState(simple, rich)).gain(simple, rich)
+        return self.data.thresholds.decides(lambda t: gain < -t.uninformative)
 
     def allowed_candidates(self, tried: SearchHistory) -> list[Candidate]:
         """The candidates that were not rejected; of laws with parameters of their own at each place what is left."""

@@ -28,7 +28,6 @@ from dataclasses import replace
 from equimus_ctrl import computer
 from equimus_ctrl.diagnosis.alternatives import pruned, simplified
 from equimus_ctrl.diagnosis.fitting import CONVERGED_GAIN, Fitted
-from equimus_ctrl.diagnosis.holdout_residuals import HoldoutResiduals
 from equimus_ctrl.diagnosis.hypothesis import Part
 from equimus_ctrl.diagnosis.hypothesis_moves import HypothesisMoves
 from equimus_ctrl.diagnosis.screening import Screened, screen
@@ -71,7 +70,7 @@ def _better(search: HypothesisMoves, state: SearchState) -> tuple[Fitted | None,
     best, tried = state.best, state.tried
     found: list[Fitted] = []
     for k in range(len(best.hypothesis)):
-        if search.lost(state.without[k], best) or _spoils(search, state, k):
+        if search.lost(state.without[k], best) or search.spoils(state.without[k], best):
             continue
         fits = imitations(search, state, k)
         two, tried = _two_in_place(search, replace(state, tried=tried.having(*fits)), k, fits)
@@ -81,13 +80,6 @@ def _better(search: HypothesisMoves, state: SearchState) -> tuple[Fitted | None,
     before = state.tried.fitted
     listed = (*tried.imitations, *(fit for fit in tried.fitted[len(before) :] if fit is not top))
     return top, replace(tried, fitted=before if top is None else (*before, top), imitations=listed)
-
-
-def _spoils(search: HypothesisMoves, state: SearchState, k: int) -> bool:
-    """Whether validation trials get worse with a part; not where there are none."""
-    if search.held_out is None or not search.held_out.validation:
-        return False
-    return HoldoutResiduals(search.data, search.held_out, state).gain(state.without[k], state.best) < 0
 
 
 def _two_in_place(

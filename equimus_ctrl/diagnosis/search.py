@@ -35,7 +35,8 @@ first-order gains predict little. What differs:
                                         from the other sign
     rounds outdone by a residual force  none                          one (``PATIENCE``)
     rounds whose gain does not stand    as any others                 one, likewise: no such part is confirmed
-    out from the residuals' scatter                                   but nothing is exchanged beside it
+    out from the residuals' scatter,                                  but nothing is exchanged beside it
+    or makes validation trials worse
     the model without effects           fitted once                   refitted from the first effect's fit
     after each addition                 exchanged, from two parts on  the same, then pruned and simplified
     where a part is left out            from the others' values           also from what makes up for it to first order
@@ -70,6 +71,9 @@ from equimus_ctrl.errors import SimulationDiverged
 from equimus_ctrl.identification.noise import white_noise
 
 LOST: Outdone = "gains do not stand out from the scatter"
+SPOILS: Outdone = "validation trials get worse"
+DOUBTFUL = (LOST, SPOILS)
+"""Of a part that will not be confirmed as things are, but may be beside one more."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -232,23 +236,28 @@ class Search(HypothesisMoves):
 
     def _against(self, best: Fitted, top: Fitted | None, outdone: bool) -> Outdone | None:
         """Why what a larger hypothesis adds may not be what is missing; None where nothing speaks against it."""
-        if top is not None and best.hypothesis and self._lost([best], top):
-            return LOST
+        if top is not None and best.hypothesis and (doubtful := self._doubtful([best], top)):
+            return doubtful
         return "a residual force explains more" if outdone else None
 
-    def _lost(self, without: Sequence[Fitted], best: Fitted) -> bool:
-        """Whether the gain of a part does not stand out from the scatter of the residuals; not where minima are few.
+    def _doubtful(self, without: Sequence[Fitted], best: Fitted) -> Outdone | None:
+        """Why some part will not be confirmed as things are; None where none is doubtful, or minima are few.
 
-        No such part is confirmed. But of two that are missing each may be lost in what the other leaves.
+        Its gain does not stand out from the scatter of the residuals, or validation trials get worse with it. But of
+        two that are missing each may be lost in what the other leaves, or stand for it.
         """
-        return self.settings.many_minima and any(self.lost(rest, best) for rest in without)
+        if not self.settings.many_minima:
+            return None
+        if any(self.lost(rest, best) for rest in without):
+            return LOST
+        return SPOILS if any(self.spoils(rest, best) for rest in without) else None
 
     def _stop_reason(self, options: _Options, rounds_outdone: int) -> StopReason | None:
         """Why the search stops before any of some options; None where it takes one."""
         if options.best is None:
             return "no effect accepted"
-        if options.outdone == LOST and len(options.best.hypothesis) >= self.settings.most_parts:
-            return LOST  # so nothing can come beside it
+        if options.outdone in DOUBTFUL and len(options.best.hypothesis) >= self.settings.most_parts:
+            return options.outdone  # so nothing can come beside it
         return options.outdone if rounds_outdone > self.settings.patience else None
 
     def _extended(self, forward: _Forward, options: _Options, before: int) -> _Forward:
@@ -260,7 +269,7 @@ class Search(HypothesisMoves):
             before: how many rounds in a row had come to what something spoke against.
         """
         state, fitted = forward.state, options.fitted
-        if options.best is not None and options.outdone == LOST:
+        if options.best is not None and options.outdone in DOUBTFUL:
             # Looked at is only what comes next, beside which it may stand out: nothing is exchanged until it does.
             return replace(forward, state=replace(state, best=options.best, without=(), alternatives=()))
         if len(state.best.hypothesis) == 1:
@@ -268,9 +277,9 @@ class Search(HypothesisMoves):
             fitted, state = (*fitted, *more), replace(state, tried=tried)
         after = self._with_one_more(state, fitted)
         had, has = bool(forward.state.best.hypothesis), bool(after.best.hypothesis)
-        if had and has and options.outdone is None and self._lost(after.without, after.best):
+        if had and has and options.outdone is None and (doubtful := self._doubtful(after.without, after.best)):
             rounds_outdone = before + 1
-            stop: StopReason | None = LOST if rounds_outdone > self.settings.patience else None
+            stop: StopReason | None = doubtful if rounds_outdone > self.settings.patience else None
             return replace(forward, state=after, rounds_outdone=rounds_outdone, stop=stop)
         # Without parts before and after, the model alone was refitted, and fits as well as any option.
         accepted = not forward.rounds_outdone or not (had or has)

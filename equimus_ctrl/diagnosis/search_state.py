@@ -13,7 +13,9 @@ from equimus_ctrl.diagnosis.policy import Thresholds
 from equimus_ctrl.diagnosis.screening import Screened
 from equimus_ctrl.identification.fit import Begin
 
-Outdone = Literal["a residual force explains more", "gains do not stand out from the scatter"]
+Outdone = Literal[
+    "a residual force explains more", "gains do not stand out from the scatter", "validation trials get worse"
+]
 """What speaks against the part that a round adds."""
 StopReason = Outdone | Literal["no effect accepted", "no part needed", "most rounds", "no more parts asked for"]
 """Why no more parts were added:
@@ -21,6 +23,7 @@ StopReason = Outdone | Literal["no effect accepted", "no part needed", "most rou
 - no effect accepted: none gains as much as the acceptance threshold, or scores better.
 - a residual force explains more: far more than the next effect, in more rounds than ``SearchSettings.patience``.
 - gains do not stand out from the scatter: of the residuals, likewise, see ``block_scatter``.
+- validation trials get worse: with what is added, likewise, see ``Extensions.spoils``.
 - no part needed: the model without any effect fits as well as the hypothesis of this round.
 - most rounds: as many as there can be, see ``SearchSettings.rounds_per_part``.
 - no more parts asked for: only the present ones were exchanged.
