@@ -149,7 +149,7 @@ class Thresholds:
         "compared",
         "calibration",
         PROOFS,
-        where="findings hypothesis_moves",
+        where="extensions findings",
     )
     validation_share: float = decided_by(
         0.25,
@@ -178,7 +178,7 @@ class Thresholds:
         "between them, and half of a kind of validation trials whose χ² rises by less gets no worse",
         "theory",
         "the gain of the true one, 16 in the mean, is then two of its standard deviations, 2·√16, above nothing",
-        where="confirmation torque_agreement",
+        where="confirmation extensions torque_agreement",
     )
     evident: float = decided_by(
         5.0,
