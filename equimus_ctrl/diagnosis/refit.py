@@ -110,8 +110,8 @@ def searched_from_short(search: Search, end: SearchState, split: Split, base: Fi
         split: with the short intervals.
         base: the model without effects, fitted to these.
     """
-    data, settings, notify = search.data, search.settings, search.notify
-    short = Search(replace(data, segments=split.short_segments), search.pool, settings, notify)
+    data, settings = search.data, search.settings
+    short = replace(search, data=replace(data, segments=split.short_segments))
     try:
         short_end = short.run(base, imitated=False)  # where it ends is only a beginning
     except SimulationDiverged:  # so short intervals are of no use
