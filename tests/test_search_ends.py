@@ -344,8 +344,7 @@ def test_what_diverges_over_whole_trials_is_not_what_short_intervals_tell(monkey
     def diverged(*a: object) -> Fitted:
         raise SimulationDiverged("diverges")
 
-    monkeypatch.setattr(refit, "replace", lambda data, **changed: data)
-    monkeypatch.setattr(refit, "Search", lambda *a: OnPaper(known))
+    monkeypatch.setattr(refit, "replace", lambda own, **changed: own)
     search.data.coarse_fit, search.data.segments = diverged, ()  # type: ignore[attr-defined, method-assign, misc]
     assert refit.searched_from_short(search, found, held_out_rejects(monkeypatch, []), found.base) == (search, found)
 
