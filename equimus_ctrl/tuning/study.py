@@ -207,7 +207,7 @@ class Study(AnyStudy):
     """A study of a PID's gains on the compiled loop.
 
     Attributes:
-        search: kp, ki, kd (each for every channel) and derivative_time → range; ``maa.kp`` is that of one channel alone.
+        search: kp, ki, kd (each for every channel) and derivative_time → range; ``maa.kp`` is one channel's own.
         space: of the PID.
         inverse: of the PID: whether it is given the inverse of the model, effects included.
     """
