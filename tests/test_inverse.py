@@ -200,6 +200,12 @@ def test_the_course_is_the_same_taken_at_once_or_step_by_step() -> None:
         np.testing.assert_allclose(fed[0], command[k], rtol=1e-9)
     np.testing.assert_allclose(course.states, last.states, rtol=1e-9)
     np.testing.assert_allclose(course.held, last.held, rtol=1e-12)
+    late, last = inverse.later(SWAY, times, first, 0.7)
+    assert np.abs(late - shown).max() > 0.01
+    for k, time in enumerate(times):
+        seen, course = inverse.later(SWAY, np.array([time]), course, 0.7)
+        np.testing.assert_allclose(seen[0], late[k], rtol=0, atol=1e-12)
+    np.testing.assert_allclose(course.held_late, last.held_late, rtol=1e-12)
 
 
 def test_what_sensors_show_is_what_they_make_of_the_reference() -> None:

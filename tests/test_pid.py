@@ -113,26 +113,33 @@ class PaperPid:
         self.slow, self.last = [0.0, 0.0], [(c - 1) * x for x in z]
         self.offset = y - wanted
 
-    def step(self, time: float, y: np.ndarray, wanted: np.ndarray) -> np.ndarray:
-        share = min(time / self.s.start_time, 1.0) if self.s.start_time else 1.0
+    def fading(self, time: float, wanted: np.ndarray, lasts: float) -> np.ndarray:
+        """The reference out of which the first pose fades."""
+        share = min(time / lasts, 1.0) if lasts else 1.0
         fade = 1 - (10 * share**3 - 15 * share**4 + 6 * share**5)
-        r = wanted + fade * self.offset
-        zr, zy = self.z(r), self.z(y)
+        return np.asarray(wanted + fade * self.offset)
+
+    def step(self, time: float, y: np.ndarray, wanted: np.ndarray) -> np.ndarray:
+        r = self.fading(time, wanted, self.s.start_time)
+        late = self.fading(time, wanted, self.s.start_time + 2 * self.s.lateness)
+        zy = self.z(y)
+        x = [sorted((a, b, own))[1] for a, b, own in zip(self.z(r), self.z(late), zy, strict=True)]
         b, c = self.s.proportional_weight, self.s.derivative_weight
-        w = []
+        w, damping = [], []
         for i, name in enumerate(SPACES[self.s.space]):
             g = self.s.gains[name]
-            weighted = c * zr[i] - zy[i]
+            weighted = c * x[i] - zy[i]
             alpha = DT / (self.s.derivative_time + DT)
             self.slow[i] += alpha * ((weighted - self.last[i]) / DT - self.slow[i])
             self.last[i] = weighted
-            w.append(g.kp * (b * zr[i] - zy[i]) + self.integral[i] + g.kd * self.slow[i])
-        asked = self.rest(r) + self.map(w, y)
-        command = np.array([min(max(p, LOW), HIGH) for p in asked])
-        back = self.unmap(command - asked, y)
+            w.append(g.kp * (b * x[i] - zy[i]) + self.integral[i])
+            damping.append(g.kd * self.slow[i])
+        steady = self.rest(r) + self.map(w, y)
+        command = np.array([min(max(p, LOW), HIGH) for p in steady + self.map(damping, y)])
+        back = self.unmap(np.array([min(max(p, LOW), HIGH) for p in steady]) - steady, y)
         for i, name in enumerate(SPACES[self.s.space]):
             tracking = min(DT / self.s.tracking_time, 1.0) if self.s.tracking_time else 1.0
-            self.integral[i] += DT * self.s.gains[name].ki * (zr[i] - zy[i]) + tracking * back[i]
+            self.integral[i] += DT * self.s.gains[name].ki * (x[i] - zy[i]) + tracking * back[i]
         return command
 
 
@@ -175,6 +182,8 @@ VARIANTS = {
     "raw derivative": {"derivative_time": 0.0},
     "tight anti-windup": {"tracking_time": 0.004},
     "no anti-windup time": {"tracking_time": 0.0},
+    "late": {"lateness": 0.2},
+    "late, weights": {"lateness": 0.2, "proportional_weight": 0.6, "derivative_weight": 0.3},
 }
 
 
@@ -345,6 +354,49 @@ def test_anti_windup_forgets_a_long_saturation(spec: eq.PlantSpec) -> None:
     error = np.real(lengths(*(pose + longer(pose, 0.02)))) - np.real(lengths(*pose))
     np.testing.assert_allclose(bounded, HIGH * np.array(AREAS) - 100 * error + 0.1 * 400 * error, rtol=1e-6)
     assert np.all(without > 2 * bounded)
+
+
+def test_a_robot_on_time_and_one_that_is_late_meet_no_feedback(spec: eq.PlantSpec) -> None:
+    """Anywhere between both references there is no error; beyond them errors count from the nearer one."""
+    gains = gains_for("joint", (3.0, 4.0, 0.2), (2.0, 1.5, 0.1))
+    fed = eq.PidSettings(gains, "joint", lateness=0.15)
+    first, n = np.array([1.45, 0.5]), 80
+    wanted = np.tile([1.4, 0.56], (n, 1))
+    without = replace(fed, gains=gains_for("joint", (0, 0, 0), (0, 0, 0)))
+
+    def behind(late: float) -> np.ndarray:
+        fade = np.array([pid_kernel.blend(k * DT, 0.3 + 2 * late) for k in range(n)])[:, None]
+        return np.asarray(wanted + fade * (first - wanted))
+
+    before = resting(first)
+    for late in (0.0, 0.06, 0.15):
+        path = behind(late)
+        np.testing.assert_allclose(
+            drive(fed, spec, path, wanted, before)[0], drive(without, spec, path, wanted, before)[0], atol=1e-3
+        )
+    for late, nearer in ((0.3, 0.15), (-0.1, 0.0)):
+        one = drive(fed, spec, behind(late), wanted, before)[0]
+        nothing = drive(without, spec, behind(late), wanted, before)[0]
+        assert np.abs(one - nothing).max() > 100
+        # As a PID that knows the nearer reference alone, but for what is fed forward.
+        known = replace(fed, lateness=0.0, start_time=0.3 + 2 * nearer)
+        other = drive(known, spec, behind(late), wanted, before)[0]
+        idle = drive(replace(without, start_time=known.start_time), spec, behind(late), wanted, before)[0]
+        free = np.all([np.all((x > LOW) & (x < HIGH), axis=1) for x in (one, nothing, other, idle)], axis=0)
+        assert free.mean() > 0.8
+        np.testing.assert_allclose((one - nothing)[free], (other - idle)[free], atol=1e-3)
+
+
+def test_noise_that_a_limit_cuts_off_does_not_move_the_integral(spec: eq.PlantSpec) -> None:
+    """The derivative passes noise on; half of it lies beyond a limit that the command is at, and that half has a mean."""
+    pose = np.array([1.4, 0.5])
+    settings = eq.PidSettings(
+        gains_for("length", (0, 1e-9, 20), (0, 1e-9, 20)), derivative_time=0.01, tracking_time=0.05, feedforward=False
+    )
+    noisy = pose + np.random.default_rng(0).normal(0, 2e-3, (240, 2))
+    commands, state = drive(settings, spec, noisy, np.tile(pose, (240, 1)), (LOW, LOW))
+    assert (commands == LOW).mean() > 0.3 and commands.max() > 1e3
+    assert np.abs(state.memory[pid_kernel.INTEGRAL]).max() < 1e-3
 
 
 def test_steps_repeat_and_leave_their_state_alone(spec: eq.PlantSpec) -> None:

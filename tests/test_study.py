@@ -193,3 +193,24 @@ def test_a_study_is_frozen() -> None:
     assert isinstance(study, Study)
     with pytest.raises(AttributeError):
         study.seed = 4  # type: ignore[misc]
+
+
+def test_a_channel_may_have_ranges_of_its_own() -> None:
+    study = study_from_dict(changed("search.maa", {"kp": {"low": 1.0, "high": 9.0, "start": 3.0}}), "s.toml")
+    assert isinstance(study, Study)
+    ranges = dict(study.ranges(("maa", "baa")))
+    assert ranges["maa.kp"] == Range(1.0, 9.0, 3.0) and ranges["baa.kp"] == Range(5.0, 3000.0, 150.0)
+    assert list(ranges) == ["maa.kp", "maa.ki", "maa.kd", "baa.kp", "baa.ki", "baa.kd", "derivative_time"]
+    with pytest.raises(eq.ConfigError, match=r"search: there is no length channel 'maa'; did you mean 'caa'"):
+        study.ranges(("caa",))
+    with pytest.raises(eq.ConfigError, match=r"search: there is no gain 'maa\.kq'"):
+        study_from_dict(changed("search.maa", {"kq": {"low": 1.0, "high": 9.0, "start": 3.0}}))
+
+
+def test_tracking_times_follow_the_integral_times() -> None:
+    """Seven tenths of k_p/k_i, unless √(k_d/k_i) is longer."""
+    study = study_from_dict(GOOD)
+    assert isinstance(study, Study)
+    found = study.settings(np.array([200.0, 400.0, 1.0, 100.0, 400.0, 100.0, 0.01]), ("maa", "baa"))
+    assert found.gains["maa"].tracking_time == pytest.approx(0.35)
+    assert found.gains["baa"].tracking_time == pytest.approx(0.5)

@@ -40,12 +40,14 @@ class InverseState:
         pose: (nj,) where the robot was then [rad].
         states: (k, nz) of the effects, for each of the valves' delays.
         held: (nj,) what sensors with play show [rad].
+        held_late: (nj,) what they show of a robot that is late, see ``later`` [rad].
     """
 
     begun: float
     pose: Array
     states: Array
     held: Array
+    held_late: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,7 +108,7 @@ class Inverse:
         """
         pose = behind(self._sensor, measured)
         rest = self._law.rest(pose)
-        return InverseState(time, pose, np.tile(rest, (len(self._delays), 1)), pose)
+        return InverseState(time, pose, np.tile(rest, (len(self._delays), 1)), pose, pose)
 
     def taken_over(self, state: InverseState) -> InverseState:
         """What another inverse has followed, for valves that differ from its own."""
@@ -125,7 +127,7 @@ class Inverse:
         return np.asarray(self.arriving(command[None])[0] - self._holding(state))
 
     def follow(
-        self, reference: Reference, times: Array, stamps: Array, state: InverseState, start_time: float | None = None
+        self, reference: Reference, times: Array, stamps: Array, state: InverseState
     ) -> tuple[Array, Array, InverseState]:
         """What to command, and what the sensors show of a robot that follows.
 
@@ -134,15 +136,31 @@ class Inverse:
             times: (n,) successive control instants [s].
             stamps: (n,) when what is known at each of them was measured [s].
             state: how far it has been followed.
-            start_time: of what the sensors show, in place of the inverse's own [s].
 
         Returns:
             Angles (n, nj) that the sensors show [rad], commands (n, na) within the useful range [Pa], and the state
             after the last of them.
         """
         feed, states = self._feed(reference, times, state)
-        measured, held = self.shown(reference, stamps, state, start_time)
+        measured, held = self._shown(reference, stamps, state, state.held, self._start_time)
         return measured, self.commands(feed), replace(state, states=states, held=held)
+
+    def later(
+        self, reference: Reference, stamps: Array, state: InverseState, start_time: float
+    ) -> tuple[Array, InverseState]:
+        """What the sensors show of a robot that is later at the start, and the state after that.
+
+        Args:
+            reference: of the true angles.
+            stamps: (n,) when what is known at successive control instants was measured [s].
+            state: how far it has been followed.
+            start_time: over which the first pose fades out of its reference [s].
+
+        Returns:
+            Angles (n, nj) [rad], and the state.
+        """
+        measured, held = self._shown(reference, stamps, state, state.held_late, start_time)
+        return measured, replace(state, held_late=held)
 
     def target(self, reference: Reference, time: float, state: InverseState) -> tuple[Target, InverseState]:
         """Where a robot that follows is when a command that is given now first arrives.
@@ -202,7 +220,7 @@ class Inverse:
             return target
         rest, held = self.resting(target.position, state.states[0]), np.empty_like(target.feed)
         for k, (delay, own, _) in enumerate(self._groups):
-            pose = self._poses(reference, np.array([time + delay + self._dt / 2]), state)[0]
+            pose = self._poses(reference, np.array([time + delay + self._dt / 2]), state, self._start_time)[0]
             held[own] = self.resting(pose, state.states[k])[own]
         pressure, feed = rest + share * (target.pressure - rest), held + share * (target.feed - held)
         return Target(target.position, share * target.velocity, pressure, feed)
@@ -236,9 +254,8 @@ class Inverse:
         command = command_for(self._effects, self.actuators, pressure, self.low, self.high)
         return np.clip(command, self.low, self.high)
 
-    def _poses(self, reference: Reference, times: Array, state: InverseState, start_time: float | None = None) -> Array:
+    def _poses(self, reference: Reference, times: Array, state: InverseState, lasts: float) -> Array:
         """(n, nj) where the robot is to be: the first pose fades into the reference, both at rest before [rad]."""
-        lasts = self._start_time if start_time is None else start_time
         found = np.empty((len(times), len(state.pose)))
         for k, time in enumerate(np.maximum(times, state.begun).tolist()):
             found[k] = reference.position(time)
@@ -250,7 +267,7 @@ class Inverse:
     def motion(self, reference: Reference, times: Array, state: InverseState) -> tuple[Array, Array, Array]:
         """(nj, n) angles, velocities and accelerations of a robot that follows the reference from its first pose on."""
         around = np.concatenate([times - SMOOTHING, times, times + SMOOTHING])
-        found, n = self._poses(reference, around, state).T, len(times)
+        found, n = self._poses(reference, around, state, self._start_time).T, len(times)
         before, now, after = found[:, :n], found[:, n : 2 * n], found[:, 2 * n :]
         return now, (after - before) / (2 * SMOOTHING), (after - 2 * now + before) / SMOOTHING**2
 
@@ -274,21 +291,11 @@ class Inverse:
         """(n, na) under which the robot moves so (nj, n), the effects' states being (nz, n) [Pa]."""
         return self._law.commands(q, v, a, z)
 
-    def shown(
-        self, reference: Reference, times: Array, state: InverseState, start_time: float | None = None
+    def _shown(
+        self, reference: Reference, times: Array, state: InverseState, held: Array, start_time: float
     ) -> tuple[Array, Array]:
-        """What the sensors show of a robot that follows.
-
-        Args:
-            reference: of the true angles.
-            times: (n,) when what is known was measured [s].
-            state: how far it has been followed.
-            start_time: in place of the inverse's own [s].
-
-        Returns:
-            Angles (n, nj) [rad], and (nj,) where sensors with play are held in the end [rad].
-        """
-        angles, held = np.empty((len(times), len(state.pose))), state.held.copy()
+        """(n, nj) what the sensors show, and (nj,) where those with play are held in the end, ``held`` before."""
+        angles, held = np.empty((len(times), len(state.pose))), held.copy()
         for sensor_delay in np.unique(self._sensor[:, SENSOR_DELAY]):
             own = np.flatnonzero(self._sensor[:, SENSOR_DELAY] == sensor_delay)
             angles[:, own] = self._poses(reference, times - sensor_delay, state, start_time)[:, own]

@@ -125,8 +125,8 @@ class PidController:
     ) -> tuple[Array, PidState | ExactPidState]:
         """The next command, within the plant's limits.
 
-        What was measured is compared with where the robot was to be then, ``lateness`` considered; pressures are fed
-        forward for now.
+        What was measured is compared with where the robot was to be then, on time and by ``lateness`` behind;
+        pressures are fed forward for now.
         """
         if isinstance(state, ExactPidState):
             return exact_pid.step(observation, reference, state)
@@ -136,8 +136,9 @@ class PidController:
         now, measured = observation.time, max(observation.stamp, state.begun)
         if state.inverse is not None and following is not None:
             instants = np.array([now]), np.array([measured])
-            shown, planned, following = state.inverse.follow(reference, *instants, following, s.late_start)
-            r, fed = shown[0], planned[0]
+            shown, planned, following = state.inverse.follow(reference, *instants, following)
+            later, following = state.inverse.later(reference, instants[1], following, s.late_start)
+            r, late, fed = shown[0], later[0], planned[0]
         else:
             if np.isnan(offset).any():
                 offset = observation.position - reference.position(measured)
@@ -146,12 +147,13 @@ class PidController:
                 weight = state.law.blend(time - state.begun, start_time)
                 return np.asarray(reference.position(time) + weight * offset)
 
-            r = pose(measured, s.late_start)
+            r, late = pose(measured, s.start_time), pose(measured, s.late_start)
             state.law.static_feed(pose(now, s.start_time), s.feedforward, state.constants, fed)
         memory = state.memory.copy()
         command = np.empty(len(spec.actuators))
         state.law.pid_command(
             r,
+            late,
             np.array(observation.position),
             fed,
             state.gains,

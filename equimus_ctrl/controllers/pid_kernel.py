@@ -1,19 +1,26 @@
 """The PID law, compiled for a robot structure; the controller and the tuner both call it.
 
 Channels are actuator lengths or joint angles. With z the channel coordinate of a pose, r the (blended) reference
-pose, y the measured one:
+pose, l the same of a robot whose commands act as late as may be, y the measured one:
 
-    D ← D + dt/(T_f + dt)·(Δ(c z(r) − z(y))/dt − D)
-    w = k_p (b z(r) − z(y)) + I + k_d D
-    P = clip(P_fed + map(w))
-    I ← I + dt k_i (z(r) − z(y)) + (dt/T_t) unmap(P − P_asked)     where k_i > 0
+    x = z(y), no less than the lesser of z(r) and z(l) and no more than the greater
+    D ← D + dt/(T_f + dt)·(Δ(c x − z(y))/dt − D)
+    w = k_p (b x − z(y)) + I
+    P = clip(P_fed + map(w + k_d D))
+    S = clip(P_fed + map(w)) − (P_fed + map(w))
+    I ← I + dt k_i (x − z(y)) + (dt/T_t) unmap(S)     where k_i > 0
 
-r is the reference as a robot follows it whose commands act later than is known: at a start, what it is behind because
-of that is no error of the model's, and feedback that answers it drives the robot past where it is to be. P_fed are not
-held back so. map turns a channel's effort into pressures: force/area for a length, the least-norm pressures of the
-joint torques for angles. P_fed are the static pressures of the reference, or come from ``controllers.inverse``.
-Two-degree-of-freedom form, derivative filter and back-calculation follow Åström & Hägglund, "Advanced PID Control"
-(2006).
+By how much a robot is behind r at a start because its commands act later than is known is no error of the model's, and
+feedback that answers it drives the robot past where it is to be; nor is it to pull back a robot that is on time. So
+errors count from the nearer of r and l, and between them there is none (a dead zone). Once the start is over l is r.
+P_fed are not held back.
+
+S is by how much a limit cuts the command off. The derivative has no part in it: it passes the measurements' noise on,
+of which a limit cuts off one side, and the integral would gather the mean of that.
+
+map turns a channel's effort into pressures: force/area for a length, the least-norm pressures of the joint torques for
+angles. P_fed are the static pressures of the reference, or come from ``controllers.inverse``. Two-degree-of-freedom
+form, derivative filter and back-calculation follow Åström & Hägglund, "Advanced PID Control" (2006).
 """
 
 from __future__ import annotations
@@ -103,7 +110,7 @@ def pid_start(y: Array, surplus: Array, gains: Array, lengths: bool, c: Array, s
         gains: (7, nz) rows k_p, k_i, k_d, T_f, T_t, b, c.
         lengths: whether channels are actuator lengths.
         c: the nominal model's constants.
-        state: (3, nz) rows integral, derivative, previous c z(r) − z(y).
+        state: (3, nz) rows integral, derivative, previous c x − z(y).
     """
     nz = state.shape[1]
     z = np.empty(nz)
@@ -119,6 +126,7 @@ def pid_start(y: Array, surplus: Array, gains: Array, lengths: bool, c: Array, s
 @njit(cache=True, nogil=True, error_model="numpy")
 def pid_command(
     r: Array,
+    late: Array,
     y: Array,
     fed: Array,
     gains: Array,
@@ -134,6 +142,7 @@ def pid_command(
 
     Args:
         r: (nj,) reference of what is measured [rad].
+        late: (nj,) l, the same of a robot whose commands act as late as may be [rad].
         y: (nj,) measured angles [rad].
         fed: (na,) fed forward [Pa].
         gains: see ``pid_start``.
@@ -146,24 +155,27 @@ def pid_command(
         command: (na,) written [Pa].
     """
     nz = state.shape[1]
-    zr, zy, w = np.empty(nz), np.empty(nz), np.empty(nz)
-    asked = np.empty(N_ACTUATORS)
-    channel_values(r, lengths, c, zr)
+    x, zl, zy, w, full = np.empty(nz), np.empty(nz), np.empty(nz), np.empty(nz), np.empty(nz)
+    asked, steady = np.empty(N_ACTUATORS), np.empty(N_ACTUATORS)
+    channel_values(r, lengths, c, x)
+    channel_values(late, lengths, c, zl)
     channel_values(y, lengths, c, zy)
     for i in range(nz):
-        weighted = gains[WEIGHT_D, i] * zr[i] - zy[i]
+        x[i] = min(max(zy[i], min(x[i], zl[i])), max(x[i], zl[i]))
+        weighted = gains[WEIGHT_D, i] * x[i] - zy[i]
         slope = (weighted - state[PREVIOUS, i]) / dt
         state[PREVIOUS, i] = weighted
         state[DERIVATIVE, i] += dt / (gains[FILTER, i] + dt) * (slope - state[DERIVATIVE, i])
-        proportional = gains[KP, i] * (gains[WEIGHT_P, i] * zr[i] - zy[i])
-        w[i] = proportional + state[INTEGRAL, i] + gains[KD, i] * state[DERIVATIVE, i]
-    efforts_to_pressures(w, y, lengths, c, asked)
+        w[i] = gains[KP, i] * (gains[WEIGHT_P, i] * x[i] - zy[i]) + state[INTEGRAL, i]
+        full[i] = w[i] + gains[KD, i] * state[DERIVATIVE, i]
+    efforts_to_pressures(full, y, lengths, c, asked)
+    efforts_to_pressures(w, y, lengths, c, steady)
     for i in range(N_ACTUATORS):
-        asked[i] += fed[i]
-        command[i] = min(max(asked[i], low[i]), high[i])
-        asked[i] = command[i] - asked[i]
-    pressures_to_efforts(asked, y, lengths, c, w)
+        command[i] = min(max(fed[i] + asked[i], low[i]), high[i])
+        wanted = fed[i] + steady[i]
+        steady[i] = min(max(wanted, low[i]), high[i]) - wanted
+    pressures_to_efforts(steady, y, lengths, c, w)
     for i in range(nz):
         share = min(dt / gains[TRACKING, i], 1.0) if gains[TRACKING, i] > 0.0 else 1.0
         if gains[KI, i] > 0.0:
-            state[INTEGRAL, i] += dt * gains[KI, i] * (zr[i] - zy[i]) + share * w[i]
+            state[INTEGRAL, i] += dt * gains[KI, i] * (x[i] - zy[i]) + share * w[i]

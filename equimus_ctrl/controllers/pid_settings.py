@@ -62,8 +62,8 @@ class PidSettings:
             and sensors (``controllers.inverse``); else they hold the reference pose at rest.
         decoupled: whether efforts of joints are accelerations, which the mass matrix turns into torques, so that no
             joint disturbs another; for the PID by exact equations (``controllers.exact_pid``).
-        lateness: by how much later than is known commands are thought to act [s]: so much later the first pose fades
-            out of what the feedback compares with. Of a PID on elastic actuators.
+        lateness: by how much later than is known commands may act [s]: feedback takes for an error what is beyond both
+            the reference and one out of which the first pose fades so much later. Of a PID on elastic actuators.
     """
 
     gains: Mapping[str, PidGains]
@@ -100,7 +100,7 @@ class PidSettings:
 
     @property
     def late_start(self) -> float:
-        """Over which the first pose fades out of what the feedback compares with [s]: on average so much later."""
+        """Over which the first pose fades out of the later reference [s]: on average ``lateness`` later."""
         return self.start_time + 2 * self.lateness
 
     def channels(self, spec_or_robot: PlantSpec | Robot) -> tuple[str, ...]:

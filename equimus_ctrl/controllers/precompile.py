@@ -34,7 +34,7 @@ def compile_laws(model: Model) -> None:
     y, command, gains, state = np.ones(nj), np.zeros(na), np.ones((7, na)), np.zeros((3, na))
     law.static_feed(y, True, constants, command)
     law.pid_start(y, command, gains, True, constants, state)
-    law.pid_command(y, y, command, gains, True, np.zeros(na), np.ones(na), 0.01, constants, state, command)
+    law.pid_command(y, y, y, command, gains, True, np.zeros(na), np.ones(na), 0.01, constants, state, command)
     shape_command(np.empty((0, 3)), command, np.empty(na))
     advance_pressure(np.zeros(1), np.zeros(1), 0.0, -1, 0.0, 0.01, 0.0, np.zeros(6))
     follow(recall(np.zeros((1, 2)), 0, 0.0, 0.01), 0.0, 0.0)

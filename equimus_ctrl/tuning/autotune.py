@@ -26,7 +26,7 @@ from equimus_ctrl.plants.mujoco_plant import MujocoPlant, PlantRates
 from equimus_ctrl.scenarios.references import SampledReference
 from equimus_ctrl.scenarios.scenario import Scenario
 from equimus_ctrl.simulate import run
-from equimus_ctrl.tuning.ensemble import Member, make_ensemble, mean_lateness
+from equimus_ctrl.tuning.ensemble import Member, make_ensemble, most_lateness
 from equimus_ctrl.tuning.objective import Evaluation, Problem, make_task
 from equimus_ctrl.tuning.result import CrossCheck, TuningResult, versions
 from equimus_ctrl.tuning.search import Journal, Search, Trial
@@ -55,7 +55,7 @@ def make_problem(study: Study, model: Model, scenarios: Sequence[Scenario]) -> P
         make_task(scenario, objective.weight, objective.duration, model, study.ensemble.noise, study.seed + k)
         for k, (scenario, objective) in enumerate(zip(scenarios, study.objectives, strict=True))
     ]
-    late = mean_lateness(model, study.ensemble, study.inverse)
+    late = most_lateness(model, study.ensemble, study.inverse)
     return Problem(model, members, tasks, study.weights, study.limits, inverse=study.inverse, lateness=late)
 
 

@@ -58,7 +58,8 @@ class Plan:
     """What a controller that knows the inverse of a model does along a course, whatever its gains.
 
     Attributes:
-        shown: (n, nj) what its feedback compares with [rad].
+        shown: (n, nj) its reference, as sensors show it [rad].
+        late: (n, nj) the same of a robot whose commands act as late as may be [rad].
         command: (n, na) what it feeds forward [Pa].
         surplus: (na,) see ``pid_kernel.pid_start`` [Pa].
         low: (na,) lowest command of any use [Pa].
@@ -66,6 +67,7 @@ class Plan:
     """
 
     shown: Array
+    late: Array
     command: Array
     surplus: Array
     low: Array
@@ -90,8 +92,9 @@ def make_plan(
     begun = inverse.start(0.0, shown(sensor, position) + course.noise[0])
     times = np.asarray(np.arange(len(course.reference)) * course.control_dt, dtype=np.float64)
     reference = SampledReference(times, course.reference)
-    seen, command, _ = inverse.follow(reference, times, times, begun, late_start)
-    return Plan(seen, command, inverse.surplus(begun, course.command_before), inverse.low, inverse.high)
+    seen, command, _ = inverse.follow(reference, times, times, begun)
+    late, _ = inverse.later(reference, times, begun, late_start)
+    return Plan(seen, late, command, inverse.surplus(begun, course.command_before), inverse.low, inverse.high)
 
 
 @dataclass(frozen=True, eq=False)
@@ -220,6 +223,7 @@ def _track_block(nominal: Morphology, phase: Phase, course: Course, loops: Seque
         np.arange(n) * course.control_dt,
         course.reference,
         np.array([plan.shown for plan in plans]).reshape(k, -1, nj),
+        np.array([plan.late for plan in plans]).reshape(k, -1, nj),
         np.array([plan.command for plan in plans]).reshape(k, -1, na),
         np.array([plan.surplus for plan in plans]).reshape(-1, na),
         course.noise,

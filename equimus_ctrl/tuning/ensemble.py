@@ -85,8 +85,8 @@ def make_ensemble(model: Model, settings: EnsembleSettings, count: int, seed: in
     return members
 
 
-def mean_lateness(model: Model, settings: EnsembleSettings, led: bool) -> float:
-    """By how much later the commands of ``make_ensemble``'s legs act than a controller leads them, on average [s].
+def most_lateness(model: Model, settings: EnsembleSettings, led: bool) -> float:
+    """By how much later the commands of ``make_ensemble``'s legs act than a controller leads them, at most [s].
 
     Args:
         model: at the centre.
@@ -94,9 +94,10 @@ def mean_lateness(model: Model, settings: EnsembleSettings, led: bool) -> float:
         led: whether the controller leads what the model knows of its valves.
     """
     if not any(isinstance(effect, ValveEffect) for effect in model.effects):
-        return sum(settings.delay) / 2 + sum(settings.lag) / 2
+        return settings.delay[1] + settings.lag[1]
     own = valve_settings(model.effects, model.morphology.actuator_names)
-    return 0.0 if led else float((own[:, DELAY] + (own[:, FILL] + own[:, VENT]) / 2).mean())
+    own = own[:, DELAY] + (own[:, FILL] + own[:, VENT]) / 2
+    return float(own.max()) * (settings.valve_spread if led else 1 + settings.valve_spread)
 
 
 def make_members(model: Model, settings: EnsembleSettings, count: int, seed: int, fixed: bool = True) -> list[Model]:

@@ -96,6 +96,7 @@ def run_loop(
     times: Array,
     reference: Array,
     shown: Array,
+    late: Array,
     planned: Array,
     surplus: Array,
     noise: Array,
@@ -135,11 +136,12 @@ def run_loop(
         lengths: whether channels are actuator lengths, else joint angles.
         feedforward: whether the controller adds the static pressures, where nothing is planned.
         start_time: of the bumpless blend [s].
-        late_start: of that in what the feedback compares with [s].
+        late_start: of that in the later reference [s].
         times: (n,) control instants [s].
         reference: (n, nj) at each of them [rad].
         shown: (k, n, nj) what the sensors show of it and (k, n, na) what is fed forward where that is planned, see
             ``controllers.inverse`` [rad, Pa]; n is 0 where it is not.
+        late: (k, n, nj) as ``shown`` of a robot that is late [rad].
         planned: see ``shown``.
         surplus: (k, na) see ``pid_start``, where it is planned [Pa].
         noise: (n, nj) added to each measurement [rad].
@@ -163,7 +165,8 @@ def run_loop(
     """
     k, n, back = len(valve), len(times), past.shape[2]
     dt = control_dt / steps
-    y, r, fed = np.empty(N_JOINTS), np.empty(N_JOINTS), np.empty(N_ACTUATORS)
+    y, r, behind = np.empty(N_JOINTS), np.empty(N_JOINTS), np.empty(N_JOINTS)
+    fed = np.empty(N_ACTUATORS)
     arriving, drive = np.empty(N_ACTUATORS), np.zeros((2, N_ACTUATORS * LANES))
     drive[0] = w[robot[ROW_PRESSURE] * LANES : (robot[ROW_PRESSURE] + N_ACTUATORS) * LANES]
     for now in range(first, last):
@@ -207,7 +210,7 @@ def run_loop(
                 if now == 0:
                     pid_start(y, surplus[l], gains[l], lengths, nominal, memory[l])
                 for j in range(N_JOINTS):
-                    r[j] = shown[l, now, j]
+                    r[j], behind[j] = shown[l, now, j], late[l, now, j]
                 for i in range(N_ACTUATORS):
                     fed[i] = planned[l, now, i]
             else:
@@ -220,10 +223,11 @@ def run_loop(
                         offset[l, j] = y[j] - reference[0, j]
                 for j in range(N_JOINTS):
                     r[j] = reference[now, j] + weight * offset[l, j]
+                    behind[j] = reference[now, j] + later * offset[l, j]
                 static_feed(r, feedforward, nominal, fed)
-                for j in range(N_JOINTS):
-                    r[j] = reference[now, j] + later * offset[l, j]
-            pid_command(r, y, fed, gains[l], lengths, low, high, control_dt, nominal, memory[l], out_command[l, now])
+            pid_command(
+                r, behind, y, fed, gains[l], lengths, low, high, control_dt, nominal, memory[l], out_command[l, now]
+            )  # fmt: skip
             shape_command(shaping, out_command[l, now], arriving)
             for i in range(N_ACTUATORS):
                 reaches[l, i, now] = arriving[i]

@@ -151,6 +151,10 @@ class EnsembleSettings:
 
 
 GAINS = ("kp", "ki", "kd")
+TRACKING = 0.7
+"""Tracking time of an integral in integral times T_i. Where a limit keeps the robot off by e, back-calculation settles
+at the share −(1 − T_t/T_i) k_p e: at √(T_i T_d) the integral has taken all that the proportional part asks for beyond
+the limit, and lacks it on the way back; at T_i it takes none, and gathers on the way back. About 0.7 the two cancel."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -203,7 +207,7 @@ class Study(AnyStudy):
     """A study of a PID's gains on the compiled loop.
 
     Attributes:
-        search: kp, ki, kd (each for every channel) and derivative_time → range.
+        search: kp, ki, kd (each for every channel) and derivative_time → range; ``maa.kp`` is one channel's own.
         space: of the PID.
         inverse: of the PID: whether it is given the inverse of the model, effects included.
     """
@@ -219,27 +223,32 @@ class Study(AnyStudy):
             if key not in self.search:
                 raise ConfigError(f"search: [search.{key}] is missing")
         for key in self.search:
-            if key not in (*GAINS, "derivative_time"):
+            if key.rpartition(".")[2] not in GAINS and key != "derivative_time":
                 raise ConfigError(unknown_name("gain", key, (*GAINS, "derivative_time"), "search"))
         if self.space not in get_args(Space):
             raise ConfigError(unknown_name("PID space", str(self.space), get_args(Space), "study"))
 
     def ranges(self, channels: tuple[str, ...]) -> list[tuple[str, Range]]:
         """(label, range) of every searched number, in the order of a candidate's vector."""
-        gains = [(f"{channel}.{key}", self.search[key]) for channel in channels for key in GAINS]
+        for name in self.search:
+            if "." in name and (channel := name.rpartition(".")[0]) not in channels:
+                raise ConfigError(unknown_name(f"{self.space} channel", channel, channels, "search"))
+        gains = [
+            (own := f"{channel}.{key}", self.search.get(own, self.search[key])) for channel in channels for key in GAINS
+        ]
         return [*gains, ("derivative_time", self.search["derivative_time"])]
 
     def settings(self, values: Array, channels: tuple[str, ...]) -> PidSettings:
         """PID settings of a candidate's vector (see ``ranges``), to six digits.
 
-        What is judged is what is written, and processors that round otherwise find the same. The tracking time is that
-        of Åström & Hägglund, √(T_i T_d) = √(k_d/k_i) of each channel.
+        What is judged is what is written, and processors that round otherwise find the same. The tracking time of each
+        channel is ``TRACKING`` T_i = ``TRACKING`` k_p/k_i, no less than Åström & Hägglund's √(T_i T_d) = √(k_d/k_i).
         """
         rounded = [float(f"{v:.6g}") for v in values]
         gains = {}
         for i, channel in enumerate(channels):
             kp, ki, kd = rounded[3 * i : 3 * i + 3]
-            gains[channel] = PidGains(kp, ki, kd, float(f"{math.sqrt(kd / ki):.6g}"))
+            gains[channel] = PidGains(kp, ki, kd, float(f"{max(math.sqrt(kd / ki), TRACKING * kp / ki):.6g}"))
         return PidSettings(gains, self.space, derivative_time=rounded[-1], inverse=self.inverse)
 
 
@@ -284,8 +293,8 @@ def study_from_dict(data: Mapping[str, Any], where: str = "study") -> Study | Pl
         search, own = table.get("search", {}), "setting" if on_plant else "gain"
         if not isinstance(search, Mapping):
             raise ConfigError(f"search: expected [search.<{own}>] tables")
-        found = _named(search) if on_plant else search
-        table["search"] = {key: _range(Narrowing if on_plant else Range, key, item) for key, item in found.items()}
+        kind = Narrowing if on_plant else Range
+        table["search"] = {key: _range(kind, key, item) for key, item in _named(search).items()}
         if not isinstance(table.get("settings", {}), Mapping):
             raise ConfigError(f"settings is {table['settings']!r}, expected a table")
         study: Study | PlantStudy = _from_table(PlantStudy if on_plant else Study, table, "study")
