@@ -330,10 +330,10 @@ def test_what_fitted_as_well_beside_other_parts_is_looked_at_beside_those_of_the
 def test_another_hypothesis_takes_the_place_of_one_that_trials_left_out_refuse() -> None:
     own = Searching([CoulombFriction("hinge", 0.05), ViscousFriction("hinge", 0.03)])
     poor = own.end(own.fitted("coulomb_friction:hinge", "sensor_scale:hinge"))
-    kept, confirms = _another(own.search, poor, 1, own.split)
+    kept, confirms = _another(own.search, poor, 1, own.split, set())
     assert not confirms and kept.best is poor.best
     true = own.fitted("coulomb_friction:hinge", "viscous_friction:hinge")
-    better, confirms = _another(own.search, replace(poor, tried=own.tried), 1, own.split)
+    better, confirms = _another(own.search, replace(poor, tried=own.tried), 1, own.split, set())
     assert confirms and better.best.label == true.label
     assert all(own.search.accepts(without, better.best) for without in better.without)
 

@@ -92,7 +92,7 @@ def test_what_is_there_already_is_not_added_once_more() -> None:
 
 def simpler(of: Part) -> dict[str, dict[str, float]]:
     search = HypothesisMoves(data(), list(pool().values()))
-    state: Any = SimpleNamespace(tried=SearchHistory())
+    state: Any = SimpleNamespace(tried=SearchHistory(), best=SimpleNamespace(labels={of.candidate.label}))
     return {p.candidate.label: dict(p.values) for p in simpler_laws(search, state, of)}
 
 
