@@ -83,6 +83,7 @@ EXAMPLES: dict[str, tuple[str, Any]] = {
     "scenario_options": ("--set duration=2 --set hip=80", {"duration": "2", "hip": "80"}),
     "settings": ("--settings pid=mine.toml", {"pid": Path("mine.toml")}),
     "seed": ("--seed 9", 9),
+    "splits": ("--splits 8", 8),
     "select": ("--select step_*", ["step_*"]),
     "shoot": ("--shoot 2", 2.0),
     "threads": ("--threads 3", 3),

@@ -57,6 +57,7 @@ def diagnose(
     equimus-ctrl diagnose triangle.csv --until 20 --json
     equimus-ctrl diagnose recordings --exclude creep --exclude hysteresis
     equimus-ctrl diagnose recordings --budget 60
+    equimus-ctrl diagnose recordings --splits 8
     equimus-ctrl diagnose unit_a unit_b --by folder --model robot.xml
     equimus-ctrl diagnose runs --model robot.xml --parameters free.toml --write-model corrected.toml
     """  # noqa: D301

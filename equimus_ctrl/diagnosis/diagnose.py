@@ -35,7 +35,6 @@ def diagnose(
     designs: Designs = tuple,
     progress: Progress = lambda stage, share, best: None,
     asked: Asked = never,
-    budget: Budget | None = None,
 ) -> Diagnosis:
     """Find the physics that a model lacks, from recordings.
 
@@ -49,7 +48,6 @@ def diagnose(
         designs: experiments to choose from where effects are not distinguishable.
         progress: see ``Progress``.
         asked: whether its best so far is to be given now; asked after each step of a fit.
-        budget: one that has begun before, in the place of the settings' and of ``asked``.
 
     Raises:
         SimulationDiverged: where the model diverges on every trial.
@@ -57,8 +55,32 @@ def diagnose(
         KeyboardInterrupt: where the best so far is asked for before there is any.
     """
     settings = settings or DiagnosisSettings()
+    budget = Budget.beginning_now(settings.budget, asked)
+    with budget.with_nothing_yet():
+        return diagnose_within(
+            budget, free, split, settings, simulator=simulator, nominal=nominal, designs=designs, progress=progress
+        )
+
+
+def diagnose_within(
+    budget: Budget,
+    free: FreeParameters,
+    split: Split,
+    settings: DiagnosisSettings,
+    *,
+    simulator: Simulator | None = None,
+    nominal: Model | None = None,
+    designs: Designs = tuple,
+    progress: Progress = lambda stage, share, best: None,
+) -> Diagnosis:
+    """The same within a budget that has begun before, in the place of that of the settings.
+
+    Raises:
+        SimulationDiverged: where the model diverges on every trial.
+        ConfigError: where an effect is to be excluded that is not known.
+        BudgetSpent: where the budget ends before the model is refitted.
+    """
     _check(settings)
-    budget = budget or Budget.beginning_now(settings.budget, asked)
     with threadpool_limits(limits=1, user_api="blas"):  # sums in another order would change the last bits
         if simulator is None:
             data = _with_default_engine(free, split, settings)
@@ -66,9 +88,7 @@ def diagnose(
             data = _with_engine_given(free, split, simulator)
         data = replace(data, budget=budget, thresholds=settings.thresholds)
         inputs = DiagnosisInputs(data, split, settings, designs, forward(progress), budget.begun, nominal or free.model)
-        with budget.with_nothing_yet():
-            state = stages.carried_out(inputs)
-        return report(state)
+        return report(stages.carried_out(inputs))
 
 
 def _check(settings: DiagnosisSettings) -> None:

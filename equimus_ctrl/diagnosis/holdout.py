@@ -7,7 +7,7 @@ import math
 import re
 from collections import Counter
 from collections.abc import Callable, Sequence
-from dataclasses import astuple, dataclass, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -65,7 +65,8 @@ class Holdout:
             said which judge, or there are too few.
         ends: trials of which the end alone is held out: those that are alone, or alone of their kind. It is for
             validation.
-        last: those of ``ends`` of which the second half of the end is for the test.
+        last: those of ``ends`` of which the last part is for the test, half of ``LAST``.
+        share: of each of ``ends`` that is held out.
     """
 
     validation: frozenset[int] = frozenset()
@@ -73,6 +74,7 @@ class Holdout:
     other: frozenset[int] = frozenset()
     ends: frozenset[int] = frozenset()
     last: frozenset[int] = frozenset()
+    share: float = LAST
 
 
 def kind_of(name: str) -> str:
@@ -116,7 +118,11 @@ def choose_holdout(
         parts = [
             _of_each_kind(names, [k for k in fitted if groups[k] == g], unseen, bool(test)) for g in sorted({*groups})
         ]
-        return Holdout(*(frozenset[int]().union(*of) for of in zip(*(astuple(p) for p in parts), strict=True)))
+
+        def all_of(which: str) -> frozenset[int]:
+            return frozenset[int]().union(*(getattr(part, which) for part in parts))
+
+        return Holdout(all_of("validation"), all_of("test"), all_of("other"), all_of("ends"), all_of("last"))
     return _of_each_kind(names, fitted, unseen, bool(test))
 
 
@@ -203,6 +209,7 @@ def split(
     shoot: float | None = None,
     simulator: Callable[[], Simulator] | None = None,
     groups: Sequence[str] = (),
+    heldout: Holdout | None = None,
 ) -> Split:
     """Decide which trials are fitted, which are for validation and which for the test.
 
@@ -217,12 +224,13 @@ def split(
             robot in place see ``intervals.longest_interval``.
         simulator: makes the one that follows it there, once the recordings are checked.
         groups: of each recording the group that it belongs to, such as a unit of the robot; none by default.
+        heldout: what is held out, in the place of what these patterns and ``until`` say.
 
     Raises:
         ConfigError: where recordings cannot be used, a pattern fits none, the window is none, ``until`` leaves
             nothing to judge by, or nothing is left to fit.
     """
-    heldout = _checked_holdout(model, recordings, validation, test, until, window, groups)
+    heldout = _checked_holdout(model, recordings, validation, test, until, window, groups, heldout)
     short = not model.robot.traits.held_in_place
     if short:
         long = _too_long(recordings, heldout, until, window)
@@ -252,6 +260,7 @@ def _checked_holdout(
     until: float | None,
     window: tuple[float, float] | None,
     groups: Sequence[str],
+    given: Holdout | None,
 ) -> Holdout:
     """Which trials are held out, see ``split``; ConfigError where that cannot be."""
     for r in recordings:
@@ -259,6 +268,8 @@ def _checked_holdout(
     check(model, recordings)
     if window is not None and not window[0] < window[1]:
         raise ConfigError(f"the window goes from {window[0]:g} to {window[1]:g} s, expected the earlier time first")
+    if given is not None:
+        return given
     heldout = choose_holdout([r.name for r in recordings], validation, test, by_time=until is not None, groups=groups)
     if until is not None:
         _check_until(until, recordings, window)
@@ -274,6 +285,7 @@ def never_held_out(
     until: float | None = None,
     window: tuple[float, float] | None = None,
     groups: Sequence[str] = (),
+    heldout: Holdout | None = None,
 ) -> list[Segment]:
     """What ``split`` fits whichever trials are held out, uncut: for what decides on the model before there is a split.
 
@@ -288,11 +300,12 @@ def never_held_out(
         until: the same [s].
         window: the same [s].
         groups: the same.
+        heldout: the same.
 
     Raises:
         ConfigError: where recordings cannot be used, a pattern fits none, or the window is none.
     """
-    heldout = _checked_holdout(model, recordings, validation, test, until, window, groups)
+    heldout = _checked_holdout(model, recordings, validation, test, until, window, groups, heldout)
     found: list[Segment] = []
     for k, r in enumerate(recordings):
         if k in heldout.validation | heldout.test | heldout.other:
@@ -386,14 +399,13 @@ def _parted(
 def _edges(r: Recording, k: int, span: tuple[float, float], heldout: Holdout, until: float | None) -> tuple[float, ...]:
     """Until when a trial is fitted, and when what of it is held out ends: the validation set's, the test set's [s].
 
-    Of one of ``ends`` that is also one of ``last`` the test set has the second half of the end, unless that half is too
-    short to judge by; where all of the end is, the trial is fitted whole.
+    Of one of ``ends`` that is also one of ``last`` the test set has the last part, unless that is too short to judge
+    by; where all of the end is, the trial is fitted whole.
     """
     low, high = span
     if k not in heldout.ends:
         return high if until is None else min(until, high), high
-    edge = high - LAST * (high - low)
-    middle = (edge + high) / 2
+    edge, middle = (high - share * (high - low) for share in (heldout.share, LAST / 2))
     if k in heldout.last and min(_samples(r, edge, middle), _samples(r, middle, high)) >= LEAST_SAMPLES:
         return edge, middle, high
     return (edge, high) if _samples(r, edge, high) >= LEAST_SAMPLES else (high, high)

@@ -118,6 +118,10 @@ _ROWS: Mapping[str, tuple[Row, ...]] = {
         ("NO_ROTOR", 1e-9, "arithmetic", "convention", "a rotor without inertia"),
     ),
     # --- which trials are fitted, and how they are cut ----------------------------------------------------------------
+    "diagnosis.random_splits": (
+        ("MOST_DRAWS", 20, "arithmetic", "convention", "draws in vain that end the search for another split"),
+        ("ENDS", (0.375, 0.625), "method", "convention", "share of a trial alone that a random split holds out"),
+    ),
     "diagnosis.holdout": (
         ("EVERY", 4, "method", "convention", "one trial in so many is held out"),
         ("LAST", 0.25, "method", "convention", "share of a trial alone that is held out"),

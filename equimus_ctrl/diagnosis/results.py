@@ -15,6 +15,7 @@ from equimus_ctrl.diagnosis.estimates import Named as Named
 from equimus_ctrl.diagnosis.fitting import Fitted
 from equimus_ctrl.diagnosis.hypothesis import Part
 from equimus_ctrl.diagnosis.residuals import ResidualLocation, Residuals, Unexplained
+from equimus_ctrl.diagnosis.split_comparison import SplitComparison
 from equimus_ctrl.engines.base import Engine
 from equimus_ctrl.identification.noise import Noise
 from equimus_ctrl.identification.results import FittedChannel, fitted_channels
@@ -277,6 +278,7 @@ class Diagnosis:
         groups: of trials, such as units of the robot; none where all are of one.
         differences: between them, the strongest evidence first.
         another_unit: what of the model's parameters is not nominal; None where the nominal values fit as well.
+        splits: what other splits of the trials say; None where nobody asked.
     """
 
     verdict: Verdict
@@ -306,6 +308,7 @@ class Diagnosis:
     groups: tuple[str, ...] = ()
     differences: tuple[Difference, ...] = ()
     another_unit: AnotherUnit | None = None
+    splits: SplitComparison | None = None
 
     @property
     def joints(self) -> tuple[str, ...]:
@@ -376,6 +379,7 @@ class Diagnosis:
             **self._groups(),
             "trials": {part: [s.trial.name for s in getattr(self, part)] for part in SETS},
             "shooting_interval_s": self.interval,
+            **({"splits": self.splits.to_dict()} if self.splits else {}),
             "decisions": [decision.to_dict() for decision in self.decisions],
             "not_done": list(self.not_done),
             "notes": list(self.notes),

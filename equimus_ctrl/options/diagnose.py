@@ -60,6 +60,8 @@ class DiagnoseOptions:
         budget: how long it may take; its best so far is given then. As long as it needs by default [s].
         by: ``"folder"`` where the trials of each folder are another unit of the robot, or of another day: one model is
             found for all, with what differs between them; None where all are alike.
+        splits: how many random halves of the trials are diagnosed, too; see ``diagnosis.random_splits``.
+        seed: of the random halves.
 
     Raises:
         ConfigError: for a value that cannot be.
@@ -119,6 +121,14 @@ class DiagnoseOptions:
         metavar="folder",
     )
 
+    splits: int = option(
+        0,
+        int,
+        "Diagnose so many random halves of the trials, too, and tell on which findings all agree.",
+        metavar="COUNT",
+    )
+    seed: int = option(0, int, "Of the random halves.")
+
     def __post_init__(self) -> None:
         """Check the values."""
         if self.by not in (None, *GROUPINGS):
@@ -127,4 +137,9 @@ class DiagnoseOptions:
             raise ConfigError(f"the largest number of effects is {self.most}, expected 1 to 6")
         if self.until is not None and not math.isfinite(self.until):
             raise ConfigError(f"the end of what is fitted is {self.until:g} s, expected a finite time")
+        if self.splits and (self.validation or self.until is not None):
+            said = "validation" if self.validation else "until"
+            raise ConfigError(f"splits are drawn at random, and {said} says what is held out; expected one of both")
         at_least("threads", self.threads, 1)
+        at_least("splits", self.splits, 0)
+        at_least("seed", self.seed, 0)

@@ -16,7 +16,7 @@ from equimus_ctrl.diagnosis import display_units
 from equimus_ctrl.diagnosis.residuals import ResidualForce
 from equimus_ctrl.diagnosis.results import SETS, Diagnosis
 from equimus_ctrl.identification.results import together
-from equimus_ctrl.report import diagnosis_text
+from equimus_ctrl.report import diagnosis_splits, diagnosis_text
 from equimus_ctrl.report.diagnosis_figures import WORDS, diagnosis_figures
 from equimus_ctrl.report.diagnosis_units import departures, differing, parameter, unit_answer
 from equimus_ctrl.report.diagnosis_words import (
@@ -90,6 +90,7 @@ def page(diagnosis: Diagnosis, title: str, command_line: str = "") -> str:
         ("size", "Size of the residuals", _size(diagnosis)),
         ("where", "Localization", _where(diagnosis, figures)),
         ("findings", "Missing physics", _findings(diagnosis, figures)),
+        ("splits", "Other splits of the trials", _splits(diagnosis)),
         ("units", "Units", _units(diagnosis)),
         ("trials", "Before and after", _before_after(diagnosis, figures)),
         ("unexplained", "Unexplained residuals", _unexplained(diagnosis, figures)),
@@ -107,6 +108,8 @@ def page(diagnosis: Diagnosis, title: str, command_line: str = "") -> str:
     told = (diagnosis_text.law_sentence(law, diagnosis.model) for law in found)
     summary = " ".join([diagnosis_text.verdict(diagnosis), *told])
     links = "".join(f'<a href="#{key}">{escape(head)}</a>' for key, head, _ in kept)
+    hanging = diagnosis_splits.undecided(diagnosis)
+    unsure = f"<p>{escape(hanging)}</p>\n" if hanging else ""
     notes = "".join(f"<p>Note: {escape(note)}</p>" for note in diagnosis.notes)
     sections = "\n".join(
         f'<section id="{key}">\n<h2>{escape(head)}</h2>\n{body}\n</section>' for key, head, body in kept
@@ -117,7 +120,7 @@ def page(diagnosis: Diagnosis, title: str, command_line: str = "") -> str:
         f"<style>{CSS}</style>\n</head>\n<body>\n<header>\n<h1>{escape(title)}</h1>\n"
         f'<p class="faint">{escape(diagnosis_text.trials(diagnosis))}</p>\n'
         f'<p class="verdict {escape(diagnosis.verdict)}">{escape(diagnosis_text.verdict(diagnosis))}</p>\n'
-        f"<p>{escape(diagnosis_text.headline(diagnosis))}</p>\n"
+        f"{unsure}<p>{escape(diagnosis_text.headline(diagnosis))}</p>\n"
         f"<p>{escape(diagnosis_text.held_out(diagnosis))}</p>\n{notes}\n"
         f"<nav>{links}</nav>\n{_figure(figures['summary'], summary)}\n</header>\n<main>\n{sections}\n"
         f"</main>\n</body>\n</html>\n"
@@ -244,6 +247,23 @@ def _units(diagnosis: Diagnosis) -> str:
     if answer := unit_answer(diagnosis):
         body += f"<p>{escape(answer)}</p>{_list(departures(diagnosis))}"
     return body
+
+
+def _splits(diagnosis: Diagnosis) -> str:
+    """What other splits of the trials say."""
+    if diagnosis.splits is None:
+        return ""
+    splits = diagnosis.splits
+    drawn = diagnosis_splits.figure(splits)
+    body = f"<p>{escape(diagnosis_splits.head(splits))}.</p>"
+    if drawn is None:
+        body += "<p>No split names an effect.</p>"
+    else:
+        alt = "The first size of each effect with its interval, split by split; grey where a split does not name it"
+        body += _figure(drawn, alt) + _table(*diagnosis_splits.of_laws(splits), text=2)
+    body += _table(*diagnosis_splits.of_splits(splits), text=2)
+    body += "<p class=\"faint\">Of joints: the augmented model's error on held-out trials over the refitted one's.</p>"
+    return body + _list(diagnosis_splits.beside(splits))
 
 
 def _before_after(diagnosis: Diagnosis, figures: dict[str, Figure]) -> str:

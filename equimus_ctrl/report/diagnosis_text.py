@@ -25,6 +25,7 @@ from equimus_ctrl.diagnosis.results import (
 )
 from equimus_ctrl.effects.base import REGISTRY
 from equimus_ctrl.models.model import Model
+from equimus_ctrl.report import diagnosis_splits
 from equimus_ctrl.report.diagnosis_sentences import sentence, sentences
 from equimus_ctrl.report.diagnosis_units import departures, differing, unit_answer
 from equimus_ctrl.report.diagnosis_words import (
@@ -413,6 +414,8 @@ def print_diagnosis(console: Console, diagnosis: Diagnosis) -> None:
     if diagnosis.engine.reason:
         say(diagnosis.engine.sentence, style="dim")
     say(verdict(diagnosis), style="bold")
+    if text := diagnosis_splits.undecided(diagnosis):
+        say(text, style="bold")
     if text := headline(diagnosis):
         say(text)
     first, *joints = against_noise(diagnosis)
@@ -437,6 +440,8 @@ def print_diagnosis(console: Console, diagnosis: Diagnosis) -> None:
         say(evidence(diagnosis, law.first), 5, "dim")
     if text := together(diagnosis):
         say(text, 2)
+    if diagnosis.splits is not None:
+        listing(diagnosis_splits.head(diagnosis.splits), diagnosis_splits.lines(diagnosis))
     listing(f"Differences between {listed(diagnosis.groups)}", differing(diagnosis))
     if text := unit_answer(diagnosis):
         say(text, style="bold")
