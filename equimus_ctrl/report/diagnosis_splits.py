@@ -11,7 +11,7 @@ from equimus_ctrl.diagnosis.results import Diagnosis, Estimate, Named
 from equimus_ctrl.diagnosis.split_comparison import Law, SplitComparison
 from equimus_ctrl.report import style
 from equimus_ctrl.report.diagnosis_drawing import WIDTH
-from equimus_ctrl.report.diagnosis_words import listed, number, reading, short
+from equimus_ctrl.report.diagnosis_words import interval_digits, listed, number, reading, short
 
 Table = tuple[tuple[str, ...], list[tuple[str, ...]]]
 """Its heads and its rows."""
@@ -135,5 +135,7 @@ def _sizes(law: Law) -> str:
 def _range(estimates: Sequence[Estimate]) -> str:
     least, most = (pick(e.value for e in estimates) for pick in (min, max))
     shown = reading(estimates[0].unit, max(abs(least), abs(most)))
-    low, high = number(least * shown.factor), number(most * shown.factor)
+    least, most = least * shown.factor, most * shown.factor
+    digits = interval_digits((least + most) / 2, least, most)
+    low, high = number(least, digits), number(most, digits)
     return shown(low if low == high else f"{low} to {high}")
