@@ -14,6 +14,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from leg_runs import recordings
 from rich.console import Console
+from test_imports import ROOT
 
 from equimus_ctrl.diagnosis.budget import BudgetSpent
 from equimus_ctrl.diagnosis.estimates import Estimate
@@ -27,6 +28,7 @@ from equimus_ctrl.options import DiagnoseOptions
 from equimus_ctrl.report import diagnosis_splits
 from equimus_ctrl.report.diagnosis_page import page
 from equimus_ctrl.report.diagnosis_text import print_diagnosis
+from equimus_ctrl.workflow import diagnose_recordings, load_model
 from equimus_ctrl.workflow.splits import over_splits
 
 STEPS = [f"step_{k}" for k in range(9)]
@@ -201,6 +203,19 @@ def test_a_split_that_cannot_be_diagnosed_is_told_and_the_others_go_on(diagnosis
     unfinished = replace(diagnosis, not_done=("search",))
     splits = over_splits(lambda heldout, progress: unfinished, OTHERS, 3, lambda stage, share, best: None).splits
     assert splits is not None and len(splits.answers) == 1
+
+
+@pytest.mark.slow
+def test_every_split_names_the_friction_of_a_pendulum() -> None:
+    docs = ROOT.parent / "docs" / "examples"
+    found = diagnose_recordings(docs / "pendulum", load_model(docs / "pendulum.xml"), splits=2, most=1)
+    splits = found.splits
+    assert splits is not None and len(splits.answers) == 3 and not splits.fewer and not splits.undecided
+    (law,) = splits.laws
+    assert (law.effect, law.place, law.named) == ("coulomb_friction", "hinge", (0, 1, 2))
+    assert all(e.value == pytest.approx(0.1, rel=0.01) for e in law.estimates["friction"])
+    assert len({answer.fitted for answer in splits.answers}) == 3  # no two fitted the same trials
+    assert splits.worst is not None and splits.worst.ratio < 0.1
 
 
 @pytest.mark.parametrize(
