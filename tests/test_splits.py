@@ -25,11 +25,10 @@ from equimus_ctrl.diagnosis.split_comparison import HeldOutError, SplitAnswer, S
 from equimus_ctrl.errors import ConfigError, RecordingError
 from equimus_ctrl.models.model import nominal_model
 from equimus_ctrl.options import DiagnoseOptions
-from equimus_ctrl.report import diagnosis_splits
 from equimus_ctrl.report.diagnosis_page import page
 from equimus_ctrl.report.diagnosis_text import print_diagnosis
 from equimus_ctrl.workflow import diagnose_recordings, load_model
-from equimus_ctrl.workflow.splits import over_splits
+from equimus_ctrl.workflow.splits import answer_of, over_splits
 
 STEPS = [f"step_{k}" for k in range(9)]
 
@@ -103,7 +102,7 @@ def test_what_all_splits_name_and_what_hangs_on_them() -> None:
         answer(("coulomb_friction", "hip", 0.4), (*creep, 1.0), ratio=1.25),
     )
     compared = SplitComparison(answers, 2)
-    friction, *others = compared.laws
+    friction, *others = compared.effects
     assert (friction.effect, friction.place, friction.named) == ("coulomb_friction", "hip", (0, 1, 2))
     assert [e.value for e in friction.estimates["friction"]] == [0.3, 0.5, 0.4]
     assert {law.effect for law in compared.undecided} == {"lag", "creep"} == {law.effect for law in others}
@@ -111,17 +110,17 @@ def test_what_all_splits_name_and_what_hangs_on_them() -> None:
     assert lag.named == (0,) and lag.as_well == (1,)
     assert compared.worst is not None and compared.worst.ratio == pytest.approx(1.25)
     written = json.loads(json.dumps(compared.to_dict()))
-    assert written["laws"][0]["parameters"]["friction"] == {"least": 0.3, "most": 0.5, "unit": "N·m"}
+    assert written["effects"][0]["parameters"]["friction"] == {"least": 0.3, "most": 0.5, "unit": "N·m"}
     assert [len(own["findings"]) for own in written["answers"]] == [2, 1, 2]
 
 
 def test_where_nothing_is_found_nothing_is_worse() -> None:
     compared = SplitComparison((answer(), answer()), 1)
-    assert compared.laws == () and compared.worst is None and diagnosis_splits.figure(compared) is None
+    assert compared.effects == () and compared.worst is None
 
 
 def test_an_answer_is_what_the_diagnosis_says(diagnosis: Diagnosis) -> None:
-    own = SplitAnswer.of(diagnosis, 2.0)
+    own = answer_of(diagnosis, 2.0)
     assert {place for finding in diagnosis.findings for place in finding.named.locations} == {p for _, p in own.named}
     (finding,) = diagnosis.findings
     assert own.named[finding.named.effect, finding.named.locations[0]] is finding.parameters
@@ -139,7 +138,7 @@ def test_an_answer_is_what_the_diagnosis_says(diagnosis: Diagnosis) -> None:
 def test_it_is_told_on_the_terminal_and_on_the_page(diagnosis: Diagnosis) -> None:
     (finding,) = diagnosis.findings
     effect, place = finding.named.effect, finding.named.locations[0]
-    first = SplitAnswer.of(diagnosis, 2.0)
+    first = answer_of(diagnosis, 2.0)
     other = answer(("coulomb_friction", "hip", 0.4), as_well=[(effect, place)], ratio=1.25)
     d = replace(diagnosis, splits=SplitComparison((first, other), 2, ("the time was up",)))
     out = io.StringIO()
@@ -211,7 +210,7 @@ def test_every_split_names_the_friction_of_a_pendulum() -> None:
     found = diagnose_recordings(docs / "pendulum", load_model(docs / "pendulum.xml"), splits=2, most=1)
     splits = found.splits
     assert splits is not None and len(splits.answers) == 3 and not splits.fewer and not splits.undecided
-    (law,) = splits.laws
+    (law,) = splits.effects
     assert (law.effect, law.place, law.named) == ("coulomb_friction", "hinge", (0, 1, 2))
     assert all(e.value == pytest.approx(0.1, rel=0.01) for e in law.estimates["friction"])
     assert len({answer.fitted for answer in splits.answers}) == 3  # no two fitted the same trials

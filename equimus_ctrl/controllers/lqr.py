@@ -16,6 +16,7 @@ import math
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
+from functools import lru_cache
 from typing import Any, ClassVar
 
 import numpy as np
@@ -141,12 +142,33 @@ def regulator(
     Raises:
         ControllerError: where no gains make the robot stable there.
     """
+    about, own = sampled(model, tuple(pose.tolist()), dt), allowed or settings.alike(*_sizes(model))
+    weights = own.angle, own.rate, own.efforts(about.authority)
+    return _regulator(model, tuple(pose.tolist()), dt, settings.integral, *(tuple(w.tolist()) for w in weights))
+
+
+def _sizes(model: Model) -> tuple[int, int]:
+    """How many joints and how many actuators."""
+    return len(model.robot.joint_names), len(model.robot.actuator_names)
+
+
+@lru_cache(maxsize=512)
+def _regulator(
+    model: Model,
+    pose: tuple[float, ...],
+    dt: float,
+    integral: float,
+    angle: tuple[float, ...],
+    rate: tuple[float, ...],
+    effort: tuple[float, ...],
+) -> Regulator:
+    """The same by its numbers: who drives many robots with one model works it out once."""
     import control  # takes half a second, which most commands can do without
 
-    about = sampled(model, tuple(pose.tolist()), dt)
+    about = sampled(model, pose, dt)
     (n, na), nj = about.b.shape, len(pose)
     under_way = waiting(model, dt)
-    m = n + int(under_way.sum()) + (nj if settings.integral else 0)
+    m = n + int(under_way.sum()) + (nj if integral else 0)
     full_a, full_b, q = np.zeros((m, m)), np.zeros((m, na)), np.zeros((m, m))
     full_a[:n, :n] = about.a
     first = n
@@ -158,19 +180,17 @@ def regulator(
         else:
             full_b[:n, i] = about.b[:, i]
         first += count
-    if settings.integral:
+    if integral:
         full_a[first:, :nj], full_a[first:, first:] = dt * np.eye(nj), np.eye(nj)
-        q[first:, first:] = np.eye(nj) / settings.integral**2
-    own = allowed or settings.alike(nj, na)
-    q[:nj, :nj], q[nj : 2 * nj, nj : 2 * nj] = np.diag(1 / own.angle**2), np.diag(1 / own.rate**2)
-    effort = own.efforts(about.authority)
-    q, r = q * dt, np.diag(dt / effort**2)
+        q[first:, first:] = np.eye(nj) / integral**2
+    q[:nj, :nj], q[nj : 2 * nj, nj : 2 * nj] = np.diag(1 / np.array(angle) ** 2), np.diag(1 / np.array(rate) ** 2)
+    q, r = q * dt, np.diag(dt / np.array(effort) ** 2)
     try:
         gain, cost, _ = control.dlqr(full_a, full_b, q, r)
     except (np.linalg.LinAlgError, ValueError) as error:
         shown = ", ".join(f"{value:.3g}" for value in pose)
         raise ControllerError(f"{model.name}: no regulator was found about the pose {shown} ({error})") from error
-    return Regulator(full_a, full_b, q, r, np.asarray(gain), np.asarray(cost), effort)
+    return Regulator(*(frozen_array(own) for own in (full_a, full_b, q, r, gain, cost, effort)))
 
 
 def waiting(model: Model, dt: float) -> NDArray[np.int64]:
@@ -191,7 +211,7 @@ class Schedule:
 
     def __init__(self, model: Model, settings: LqrSettings, dt: float, allowed: Allowances | None = None) -> None:
         self.model, self.settings, self.dt = model, settings, dt
-        self.allowed = allowed or settings.alike(len(model.robot.joint_names), len(model.robot.actuator_names))
+        self.allowed = allowed or settings.alike(*_sizes(model))
         # A joint without ends has its poses a spacing apart, as many as are asked for.
         low, high = (np.asarray(side) for side in model.robot.joint_range)
         ends, spacing = np.isfinite(low) & np.isfinite(high), settings.spacing

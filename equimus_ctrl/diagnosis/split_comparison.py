@@ -3,18 +3,11 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-import numpy as np
-
-from equimus_ctrl.diagnosis.estimates import Estimate, Named
-from equimus_ctrl.diagnosis.holdout import kind_of
-from equimus_ctrl.types import Array
-
-if TYPE_CHECKING:
-    from equimus_ctrl.diagnosis.results import Diagnosis
+from equimus_ctrl.diagnosis.estimates import Estimate
 
 Place = tuple[str, str]
 """An effect's name and one of its places."""
@@ -48,7 +41,7 @@ class SplitAnswer:
 
     Attributes:
         fitted: names of the trials that were fitted, whole or in part.
-        verdict: see ``results.Diagnosis``.
+        verdict: in one word.
         named: for each effect that is named, at each of its places, the parameters.
         as_well: effects and places that fit as well in the place of one that is named.
         errors: on what was held out.
@@ -61,18 +54,6 @@ class SplitAnswer:
     as_well: frozenset[Place]
     errors: tuple[HeldOutError, ...]
     seconds: float
-
-    @classmethod
-    def of(cls, diagnosis: Diagnosis, seconds: float) -> SplitAnswer:
-        """That of a diagnosis that took so long [s]."""
-        named: dict[Place, Mapping[str, Estimate]] = {}
-        as_well = set[Place]()
-        for finding in diagnosis.findings:
-            named |= dict.fromkeys(_places(finding.named), finding.parameters)
-            as_well.update(place for other in finding.equivalent for place in _places(other))
-        fitted = tuple({s.recording: s.recording_name for s in diagnosis.train}.values())
-        errors = tuple(_errors(diagnosis))
-        return cls(fitted, diagnosis.verdict, named, frozenset(as_well) - named.keys(), errors, seconds)
 
     def to_dict(self) -> dict[str, Any]:
         """As JSON data."""
@@ -90,7 +71,7 @@ class SplitAnswer:
 
 
 @dataclass(frozen=True)
-class Law:
+class OverSplits:
     """An effect at one of its places, over all splits.
 
     Attributes:
@@ -136,23 +117,23 @@ class SplitComparison:
     fewer: tuple[str, ...] = ()
 
     @property
-    def laws(self) -> tuple[Law, ...]:
+    def effects(self) -> tuple[OverSplits, ...]:
         """What any of them names, what most name first."""
         order = dict.fromkeys(place for answer in self.answers for place in answer.named)
-        return tuple(sorted((self._law(*place) for place in order), key=lambda law: -len(law.named)))
+        return tuple(sorted((self._of(*place) for place in order), key=lambda own: -len(own.named)))
 
-    def _law(self, effect: str, place: str) -> Law:
+    def _of(self, effect: str, place: str) -> OverSplits:
         own = effect, place
         named = tuple(k for k, answer in enumerate(self.answers) if own in answer.named)
         as_well = tuple(k for k, answer in enumerate(self.answers) if own in answer.as_well)
         first = self.answers[named[0]].named[own]
         values = {key: tuple(self.answers[k].named[own][key] for k in named) for key in first}
-        return Law(effect, place, named, as_well, values)
+        return OverSplits(effect, place, named, as_well, values)
 
     @property
-    def undecided(self) -> tuple[Law, ...]:
+    def undecided(self) -> tuple[OverSplits, ...]:
         """Those that not all splits name."""
-        return tuple(law for law in self.laws if len(law.named) < len(self.answers))
+        return tuple(own for own in self.effects if len(own.named) < len(self.answers))
 
     @property
     def worst(self) -> HeldOutError | None:
@@ -164,29 +145,7 @@ class SplitComparison:
         """As JSON data."""
         return {
             "asked": self.asked,
-            "laws": [law.to_dict() for law in self.laws],
+            "effects": [own.to_dict() for own in self.effects],
             "answers": [answer.to_dict() for answer in self.answers],
             "fewer": list(self.fewer),
         }
-
-
-def _places(named: Named) -> Iterable[Place]:
-    return ((named.effect, location) for location in named.locations)
-
-
-def _errors(diagnosis: Diagnosis) -> Iterable[HeldOutError]:
-    """For each kind of held-out trials and each joint."""
-    segments = (*diagnosis.validation, *diagnosis.test)
-    left = {
-        state: (*diagnosis.residuals[state].validation, *diagnosis.residuals[state].test)
-        for state in ("refitted", "corrected")
-    }
-    for kind in dict.fromkeys(kind_of(s.recording_name) for s in segments):
-        own = [k for k, s in enumerate(segments) if kind_of(s.recording_name) == kind]
-        sizes = {state: _rmse([residuals[k] for k in own]) for state, residuals in left.items()}
-        for j, joint in enumerate(diagnosis.joints):
-            yield HeldOutError(kind, joint, sizes["refitted"][j], sizes["corrected"][j])
-
-
-def _rmse(residuals: Sequence[Array]) -> list[float]:
-    return [float(size) for size in np.sqrt(np.mean(np.concatenate(residuals) ** 2, axis=0))]

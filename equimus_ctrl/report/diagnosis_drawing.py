@@ -1,7 +1,8 @@
-"""Panels drawn, for a finding and for an unstructured residual force; and the ranking of all candidates."""
+"""Panels drawn, for a finding, for an unstructured residual force, for splits; and the ranking of all candidates."""
 
 from __future__ import annotations
 
+import math
 import textwrap
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -16,11 +17,13 @@ from matplotlib.patches import Patch
 
 from equimus_ctrl.diagnosis.residuals import ResidualForce, Unexplained
 from equimus_ctrl.diagnosis.results import Diagnosis, Named, Ranked
+from equimus_ctrl.diagnosis.split_comparison import SplitComparison
 from equimus_ctrl.report import style
 from equimus_ctrl.report.diagnosis_curves import panels, unexplained_panel
 from equimus_ctrl.report.diagnosis_panels import Band, Panel, Scene
+from equimus_ctrl.report.diagnosis_splits import named, which
 from equimus_ctrl.report.diagnosis_text import Law, candidate_of, grouped, upper
-from equimus_ctrl.report.diagnosis_words import coordinates_text, listed, short
+from equimus_ctrl.report.diagnosis_words import coordinates_text, listed, reading, short
 from equimus_ctrl.types import Array
 
 WIDTH = 11.0
@@ -38,6 +41,11 @@ MOST_BAND = 1.0
 """A band is drawn up to so many times the curves' height beyond them."""
 A_ROW, MOST_PANELS = 3, 6
 """Panels side by side, and in a figure."""
+MOST_EFFECTS, COLUMNS = 12, 3
+"""Of what splits say: what most of them name."""
+PANEL_HEIGHT = 1.9
+BESIDE = 0.35
+"""Of the horizontal axis before the first split and behind the last, in splits."""
 
 
 def finding_figure(scene: Scene, law: Law) -> Figure:
@@ -223,3 +231,30 @@ def _ranking_handles(findings: int, equivalent: bool, others: bool) -> list[Arti
     handles.append(Line2D([], [], marker="o", linestyle="", **expected))  # type: ignore[arg-type]
     handles.append(Line2D([], [], color=style.ALERT, linestyle=style.DASHES, label="acceptance threshold"))
     return handles
+
+
+def splits_figure(splits: SplitComparison) -> Figure:
+    """The first parameter of what most splits name, with its interval in each of them."""
+    shown = splits.effects[:MOST_EFFECTS]
+    height = -(-len(shown) // COLUMNS)
+    drawn = style.new_figure(WIDTH, 0.5 + PANEL_HEIGHT * height)
+    grid = drawn.subplots(height, COLUMNS, squeeze=False)
+    for axes in grid.flat[len(shown) :]:
+        axes.set_visible(False)
+    n = len(splits.answers)
+    for law, axes in zip(shown, grid.flat, strict=False):
+        key, estimates = next(iter(law.estimates.items()))
+        scale = reading(estimates[0].unit, estimates[0].value)
+        for k, own in zip(law.named, estimates, strict=True):
+            value, low, high = (v * scale.factor for v in (own.value, own.low, own.high))
+            ends = [[value - low if math.isfinite(low) else 0.0], [high - value if math.isfinite(high) else 0.0]]
+            colour = style.JOINT_COLOURS[0] if k == 0 else style.FAINT
+            axes.errorbar([k], [value], yerr=ends, fmt="o", markersize=4, color=colour, capsize=2, linewidth=1.2)
+        for k in sorted(set(range(n)) - set(law.named)):
+            axes.axvspan(k - 0.4, k + 0.4, color=style.SHADE, linewidth=0)
+        axes.set_xlim(-BESIDE - 0.1, n - 1 + BESIDE + 0.1)
+        axes.set_xticks(range(n), [which(k) for k in range(n)])
+        label = key.replace("_", " ")
+        y = f"{label} [{scale.unit}]" if scale.unit else label
+        style.dress(axes, title=f"{named(law)}: {len(law.named)} of {n}", y=y)
+    return drawn

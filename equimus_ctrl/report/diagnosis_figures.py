@@ -29,6 +29,7 @@ from equimus_ctrl.report.diagnosis_drawing import (
     finding_figure,
     handles_of,
     ranking_figure,
+    splits_figure,
     unexplained_figure,
 )
 from equimus_ctrl.report.diagnosis_panels import Panel, Scene
@@ -62,6 +63,8 @@ def diagnosis_figures(diagnosis: Diagnosis) -> dict[str, Figure]:
         "before_after": before_after_figure(diagnosis),
         "residuals": residuals_figure(diagnosis),
     }
+    if diagnosis.splits is not None and diagnosis.splits.effects:
+        figures["splits"] = splits_figure(diagnosis.splits)
     if diagnosis.ranking:
         figures["ranking"] = ranking_figure(diagnosis)
     for law in diagnosis_text.grouped(diagnosis.findings):

@@ -90,7 +90,7 @@ def page(diagnosis: Diagnosis, title: str, command_line: str = "") -> str:
         ("size", "Size of the residuals", _size(diagnosis)),
         ("where", "Localization", _where(diagnosis, figures)),
         ("findings", "Missing physics", _findings(diagnosis, figures)),
-        ("splits", "Other splits of the trials", _splits(diagnosis)),
+        ("splits", "Other splits of the trials", _splits(diagnosis, figures)),
         ("units", "Units", _units(diagnosis)),
         ("trials", "Before and after", _before_after(diagnosis, figures)),
         ("unexplained", "Unexplained residuals", _unexplained(diagnosis, figures)),
@@ -249,18 +249,17 @@ def _units(diagnosis: Diagnosis) -> str:
     return body
 
 
-def _splits(diagnosis: Diagnosis) -> str:
+def _splits(diagnosis: Diagnosis, figures: dict[str, Figure]) -> str:
     """What other splits of the trials say."""
     if diagnosis.splits is None:
         return ""
     splits = diagnosis.splits
-    drawn = diagnosis_splits.figure(splits)
     body = f"<p>{escape(diagnosis_splits.head(splits))}.</p>"
-    if drawn is None:
+    if "splits" not in figures:
         body += "<p>No split names an effect.</p>"
     else:
         alt = "The first size of each effect with its interval, split by split; grey where a split does not name it"
-        body += _figure(drawn, alt) + _table(*diagnosis_splits.of_laws(splits), text=2)
+        body += _figure(figures["splits"], alt) + _table(*diagnosis_splits.of_effects(splits), text=2)
     body += _table(*diagnosis_splits.of_splits(splits), text=2)
     body += "<p class=\"faint\">Of joints: the augmented model's error on held-out trials over the refitted one's.</p>"
     return body + _list(diagnosis_splits.beside(splits))

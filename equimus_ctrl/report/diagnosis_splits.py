@@ -1,25 +1,15 @@
-"""What other splits of the trials say, in sentences, as a table and as a figure."""
+"""What other splits of the trials say, in sentences and as tables."""
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 
-from matplotlib.figure import Figure
-
 from equimus_ctrl.diagnosis.results import Diagnosis, Estimate, Named
-from equimus_ctrl.diagnosis.split_comparison import Law, SplitComparison
-from equimus_ctrl.report import style
-from equimus_ctrl.report.diagnosis_drawing import WIDTH
+from equimus_ctrl.diagnosis.split_comparison import OverSplits, SplitComparison
 from equimus_ctrl.report.diagnosis_words import interval_digits, listed, number, reading, short
 
 Table = tuple[tuple[str, ...], list[tuple[str, ...]]]
 """Its heads and its rows."""
-MOST_PANELS, COLUMNS = 12, 3
-"""Of the figure: what most splits name."""
-PANEL_HEIGHT = 1.9
-BESIDE = 0.35
-"""Of the horizontal axis before the first split and behind the last, in splits."""
 
 
 def head(splits: SplitComparison) -> str:
@@ -33,7 +23,7 @@ def lines(diagnosis: Diagnosis) -> list[str]:
     splits = diagnosis.splits
     if splits is None:
         return []
-    return [*([_law(law, splits) for law in splits.laws] or ["No split names an effect."]), *beside(splits)]
+    return [*([_said(own, splits) for own in splits.effects] or ["No split names an effect."]), *beside(splits)]
 
 
 def beside(splits: SplitComparison) -> list[str]:
@@ -54,20 +44,20 @@ def undecided(diagnosis: Diagnosis) -> str:
     splits = diagnosis.splits
     if splits is None:
         return ""
-    own = [law for law in splits.undecided if 0 in law.named]
-    if not own:
+    hanging = [own for own in splits.undecided if 0 in own.named]
+    if not hanging:
         return ""
     n = len(splits.answers)
-    told = listed([f"{_named(law)} ({len(law.named)} of {n})" for law in own])
-    return f"Undecided, as not all splits name {'it' if len(own) == 1 else 'them'}: {told}."
+    told = listed([f"{named(own)} ({len(own.named)} of {n})" for own in hanging])
+    return f"Undecided, as not all splits name {'it' if len(hanging) == 1 else 'them'}: {told}."
 
 
-def of_laws(splits: SplitComparison) -> Table:
+def of_effects(splits: SplitComparison) -> Table:
     """A table of effects at their places."""
     body: list[tuple[str, ...]] = []
-    for law in splits.laws:
-        in_all = f"{len(law.named)} of {len(splits.answers)}"
-        body.append((_named(law), _sizes(law), in_all, str(len(law.as_well) or "")))
+    for own in splits.effects:
+        in_all = f"{len(own.named)} of {len(splits.answers)}"
+        body.append((named(own), _sizes(own), in_all, str(len(own.as_well) or "")))
     return ("effect", "sizes, over the splits that name it", "named in", "not distinguishable in"), body
 
 
@@ -78,58 +68,31 @@ def of_splits(splits: SplitComparison) -> Table:
     for k, answer in enumerate(splits.answers):
         ratios = {(e.joint, e.kind): number(e.ratio) for e in answer.errors}
         times = number(answer.seconds), str(len(answer.fitted))
-        body.append((_which(k), answer.verdict.replace("_", " "), *(ratios.get(kind, "") for kind in kinds), *times))
+        body.append((which(k), answer.verdict.replace("_", " "), *(ratios.get(kind, "") for kind in kinds), *times))
     heads = (f"{joint}, {kind}" if kind else joint for joint, kind in kinds)
     return ("split", "verdict", *heads, "time [s]", "trials fitted"), body
 
 
-def figure(splits: SplitComparison) -> Figure | None:
-    """The first parameter of what most splits name, with its interval in each; None where none names anything."""
-    if not splits.laws:
-        return None
-    shown = splits.laws[:MOST_PANELS]
-    height = -(-len(shown) // COLUMNS)
-    drawn = style.new_figure(WIDTH, 0.5 + PANEL_HEIGHT * height)
-    grid = drawn.subplots(height, COLUMNS, squeeze=False)
-    for axes in grid.flat[len(shown) :]:
-        axes.set_visible(False)
-    n = len(splits.answers)
-    for law, axes in zip(shown, grid.flat, strict=False):
-        key, estimates = next(iter(law.estimates.items()))
-        scale = reading(estimates[0].unit, estimates[0].value)
-        for k, own in zip(law.named, estimates, strict=True):
-            value, low, high = (v * scale.factor for v in (own.value, own.low, own.high))
-            ends = [[value - low if math.isfinite(low) else 0.0], [high - value if math.isfinite(high) else 0.0]]
-            colour = style.JOINT_COLOURS[0] if k == 0 else style.FAINT
-            axes.errorbar([k], [value], yerr=ends, fmt="o", markersize=4, color=colour, capsize=2, linewidth=1.2)
-        for k in sorted(set(range(n)) - set(law.named)):
-            axes.axvspan(k - 0.4, k + 0.4, color=style.SHADE, linewidth=0)
-        axes.set_xlim(-BESIDE - 0.1, n - 1 + BESIDE + 0.1)
-        axes.set_xticks(range(n), [_which(k) for k in range(n)])
-        label = key.replace("_", " ")
-        y = f"{label} [{scale.unit}]" if scale.unit else label
-        style.dress(axes, title=f"{_named(law)}: {len(law.named)} of {n}", y=y)
-    return drawn
-
-
-def _which(k: int) -> str:
+def which(k: int) -> str:
+    """A split by its number."""
     return str(k) if k else "default"
 
 
-def _named(law: Law) -> str:
-    return short(Named(law.effect, (law.place,)))
+def named(own: OverSplits) -> str:
+    """An effect at one place."""
+    return short(Named(own.effect, (own.place,)))
 
 
-def _law(law: Law, splits: SplitComparison) -> str:
+def _said(own: OverSplits, splits: SplitComparison) -> str:
     n = len(splits.answers)
-    if len(law.named) == n:
-        return f"{_named(law)}: named in all {n}; {_sizes(law)}"
-    also = f", and not distinguishable in {len(law.as_well)} more" if law.as_well else ""
-    return f"{_named(law)}: undecided, named in {len(law.named)} of {n}{also}; {_sizes(law)}"
+    if len(own.named) == n:
+        return f"{named(own)}: named in all {n}; {_sizes(own)}"
+    also = f", and not distinguishable in {len(own.as_well)} more" if own.as_well else ""
+    return f"{named(own)}: undecided, named in {len(own.named)} of {n}{also}; {_sizes(own)}"
 
 
-def _sizes(law: Law) -> str:
-    return ", ".join(f"{key.replace('_', ' ')} {_range(own)}" for key, own in law.estimates.items())
+def _sizes(own: OverSplits) -> str:
+    return ", ".join(f"{key.replace('_', ' ')} {_range(own)}" for key, own in own.estimates.items())
 
 
 def _range(estimates: Sequence[Estimate]) -> str:

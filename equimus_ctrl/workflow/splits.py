@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 
+import numpy as np
+
 from equimus_ctrl.diagnosis.budget import BudgetSpent
-from equimus_ctrl.diagnosis.holdout import Holdout
+from equimus_ctrl.diagnosis.estimates import Estimate, Named
+from equimus_ctrl.diagnosis.holdout import Holdout, kind_of
 from equimus_ctrl.diagnosis.results import Diagnosis
-from equimus_ctrl.diagnosis.split_comparison import SplitAnswer, SplitComparison
+from equimus_ctrl.diagnosis.split_comparison import HeldOutError, Place, SplitAnswer, SplitComparison
 from equimus_ctrl.diagnosis.state import Progress
 from equimus_ctrl.errors import EquimusError
+from equimus_ctrl.types import Array
 
 Diagnosed = Callable[[Holdout | None, Progress], Diagnosis]
 """A diagnosis with some trials held out, by default the usual ones; it tells how far it is.
@@ -42,7 +46,7 @@ def over_splits(diagnosed: Diagnosed, others: Sequence[Holdout], asked: int, pro
 
     begun = time.perf_counter()
     first = diagnosed(None, part(0))
-    answers, fewer = [SplitAnswer.of(first, time.perf_counter() - begun)], list[str]()
+    answers, fewer = [answer_of(first, time.perf_counter() - begun)], list[str]()
     if len(others) < asked:
         fewer.append(f"the trials have no more than {len(others)} random halves")
     for k, heldout in enumerate(others, start=1):
@@ -57,5 +61,39 @@ def over_splits(diagnosed: Diagnosed, others: Sequence[Holdout], asked: int, pro
         if found is None or found.not_done:
             fewer.append("the time was up, or the best so far was asked for")
             break
-        answers.append(SplitAnswer.of(found, time.perf_counter() - begun))
+        answers.append(answer_of(found, time.perf_counter() - begun))
     return replace(first, splits=SplitComparison(tuple(answers), asked, tuple(fewer)))
+
+
+def answer_of(diagnosis: Diagnosis, seconds: float) -> SplitAnswer:
+    """What a diagnosis found that took so long [s]."""
+    named: dict[Place, Mapping[str, Estimate]] = {}
+    as_well = set[Place]()
+    for finding in diagnosis.findings:
+        named |= dict.fromkeys(_places(finding.named), finding.parameters)
+        as_well.update(place for other in finding.equivalent for place in _places(other))
+    fitted = tuple({s.recording: s.recording_name for s in diagnosis.train}.values())
+    errors = tuple(_errors(diagnosis))
+    return SplitAnswer(fitted, diagnosis.verdict, named, frozenset(as_well) - named.keys(), errors, seconds)
+
+
+def _places(named: Named) -> Iterable[Place]:
+    return ((named.effect, location) for location in named.locations)
+
+
+def _errors(diagnosis: Diagnosis) -> Iterable[HeldOutError]:
+    """For each kind of held-out trials and each joint."""
+    segments = (*diagnosis.validation, *diagnosis.test)
+    left = {
+        state: (*diagnosis.residuals[state].validation, *diagnosis.residuals[state].test)
+        for state in ("refitted", "corrected")
+    }
+    for kind in dict.fromkeys(kind_of(s.recording_name) for s in segments):
+        own = [k for k, s in enumerate(segments) if kind_of(s.recording_name) == kind]
+        sizes = {state: _rmse([residuals[k] for k in own]) for state, residuals in left.items()}
+        for j, joint in enumerate(diagnosis.joints):
+            yield HeldOutError(kind, joint, sizes["refitted"][j], sizes["corrected"][j])
+
+
+def _rmse(residuals: Sequence[Array]) -> list[float]:
+    return [float(size) for size in np.sqrt(np.mean(np.concatenate(residuals) ** 2, axis=0))]
