@@ -44,6 +44,21 @@ def rmse(done: Run, after: float = 1.0) -> Array:
     return np.asarray(np.sqrt((error**2).mean(axis=0)))
 
 
+def test_a_regulator_is_worked_out_once_for_one_model_pose_and_weights() -> None:
+    model, settings = Model(LEG, LAG), LqrSettings(integral=0.05)
+    found = regulator(model, POSE, settings, DT)
+    assert regulator(Model(nominal_leg(), LAG), POSE.copy(), replace(settings), DT) is found
+    assert not any(own.flags.writeable for own in (found.a, found.b, found.q, found.r, found.gain, found.cost))
+    others = [
+        regulator(Model(LEG, KNOWN["late"]), POSE, settings, DT),
+        regulator(model, POSE + 0.01, settings, DT),
+        regulator(model, POSE, settings, DT / 2),
+        *(regulator(model, POSE, replace(settings, **{key: 0.07}), DT) for key in ("angle", "rate", "integral")),
+        regulator(model, POSE, replace(settings, pressure=500.0), DT),
+    ]
+    assert all(own.gain.shape != found.gain.shape or not np.array_equal(own.gain, found.gain) for own in others)
+
+
 @pytest.mark.parametrize("name", KNOWN)
 @pytest.mark.parametrize("integral", [0.0, 0.05])
 def test_what_is_simulated_costs_half_of_x_p_x(name: str, integral: float) -> None:

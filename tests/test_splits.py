@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import io
 import json
-import math
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -49,20 +49,28 @@ def test_a_random_split_fits_half_of_what_no_test_has(trials: int, count: int, s
 
 
 def test_every_trial_is_as_often_fitted_as_another_and_each_group_halved() -> None:
-    drawn = random_holdouts(STEPS[:8], 600, 1)
-    assert len(drawn) < 600  # there are 20 halves of six trials beside two for the test
+    drawn = random_holdouts(STEPS[:8], 34, 1)
     held = Counter(k for own in drawn for k in own.validation)
-    assert set(held) == set(range(8)) - choose_holdout(STEPS[:8]).test
+    assert len(drawn) == 34  # of 35 halves of seven trials, beside one for the test
+    assert set(held) == set(range(7)) and set(held.values()) <= {14, 15}
     groups = ["A"] * 5 + ["B"] * 4
     for own in random_holdouts(STEPS, 20, 2, groups=groups):
         assert Counter(groups[k] for k in own.validation) == {"A": 2, "B": 2}
 
 
 def test_there_are_no_more_splits_than_the_trials_have() -> None:
-    assert {own.validation for own in random_holdouts(["a", "b"], 9)} == {frozenset({0}), frozenset({1})}
+    assert [own.validation for own in random_holdouts(["a", "b"], 9)] == [frozenset({0})]  # the default holds out b
+    assert not random_holdouts(["a", "b"], 9, test=["a"])  # one trial is all that is left to fit
     assert len(random_holdouts(["a"], 9)) == 9  # the end of one trial may begin anywhere
     named = random_holdouts(STEPS, 5, test=["step_0"])
     assert all(own.test == {0} and 0 not in own.validation for own in named)
+
+
+def test_a_split_that_leaves_nothing_to_judge_by_is_none() -> None:
+    (trial,) = recordings((), count=1)
+    short = float(trial.time[0]), float(trial.time[130])
+    with pytest.raises(ConfigError, match="nothing is held out that has 60 samples, too few to judge by"):
+        split(nominal_model(), [trial], window=short, heldout=Holdout(ends=frozenset({0}), share=0.375))
 
 
 def test_no_random_split_fits_what_the_test_set_has() -> None:
@@ -88,70 +96,94 @@ def estimate(value: float) -> Estimate:
     return Estimate(value, value - 0.1, value + 0.1, "N·m")
 
 
-def answer(*named: tuple[str, str, float], as_well: Sequence[tuple[str, str]] = (), ratio: float = 0.5) -> SplitAnswer:
+def answer(
+    *named: tuple[str, str, float], number: int = 0, as_well: Sequence[tuple[str, str]] = (), ratio: float = 0.5
+) -> SplitAnswer:
     found = {(effect, place): {"friction": estimate(size)} for effect, place, size in named}
     errors = (HeldOutError("step", "hip", 0.02, 0.02 * ratio),)
-    return SplitAnswer(("step_1",), "explained", found, frozenset(as_well), errors, 3.0)
+    return SplitAnswer(number, ("step_1",), "explained", found, frozenset(as_well), errors, 3.0)
 
 
 def test_what_all_splits_name_and_what_hangs_on_them() -> None:
     creep = ("creep", "maa")
     answers = (
         answer(("coulomb_friction", "hip", 0.3), ("lag", "maa", 2.0)),
-        answer(("coulomb_friction", "hip", 0.5), as_well=[("lag", "maa")]),
-        answer(("coulomb_friction", "hip", 0.4), (*creep, 1.0), ratio=1.25),
+        answer(("coulomb_friction", "hip", 0.5), number=2, as_well=[("lag", "maa")]),
+        answer(("coulomb_friction", "hip", 0.4), (*creep, 1.0), number=3, ratio=1.25),
     )
-    compared = SplitComparison(answers, 2)
+    compared = SplitComparison(answers, 3, ("split 1 could not be diagnosed: the hip never moves",))
     friction, *others = compared.effects
-    assert (friction.effect, friction.place, friction.named) == ("coulomb_friction", "hip", (0, 1, 2))
+    assert (friction.effect, friction.place, friction.named) == ("coulomb_friction", "hip", (0, 2, 3))
     assert [e.value for e in friction.estimates["friction"]] == [0.3, 0.5, 0.4]
     assert {law.effect for law in compared.undecided} == {"lag", "creep"} == {law.effect for law in others}
     (lag,) = (law for law in others if law.effect == "lag")
-    assert lag.named == (0,) and lag.as_well == (1,)
+    assert lag.named == (0,) and lag.as_well == (2,)
     assert compared.worst is not None and compared.worst.ratio == pytest.approx(1.25)
     written = json.loads(json.dumps(compared.to_dict()))
     assert written["effects"][0]["parameters"]["friction"] == {"least": 0.3, "most": 0.5, "unit": "N·m"}
     assert [len(own["findings"]) for own in written["answers"]] == [2, 1, 2]
 
 
-def test_where_nothing_is_found_nothing_is_worse() -> None:
-    compared = SplitComparison((answer(), answer()), 1)
+def test_where_nothing_fits_better_nothing_is_worse() -> None:
+    compared = SplitComparison((answer(ratio=1.0), answer(ratio=1.0, number=1)), 1)
     assert compared.effects == () and compared.worst is None
+    failed = SplitComparison((answer(("lag", "maa", 1.0)), answer(ratio=40.0, number=1)), 1)  # it names nothing
+    assert failed.worst is not None and failed.worst.ratio == pytest.approx(40.0)
 
 
 def test_an_answer_is_what_the_diagnosis_says(diagnosis: Diagnosis) -> None:
-    own = answer_of(diagnosis, 2.0)
+    own = answer_of(0, diagnosis, 2.0)
     assert {place for finding in diagnosis.findings for place in finding.named.locations} == {p for _, p in own.named}
     (finding,) = diagnosis.findings
     assert own.named[finding.named.effect, finding.named.locations[0]] is finding.parameters
     assert not own.as_well & own.named.keys()
-    by_joint = {e.joint: e for e in own.errors if e.kind == own.errors[0].kind}
-    held = (*diagnosis.validation, *diagnosis.test)
-    if len({e.kind for e in own.errors}) == 1 and not diagnosis.test:
-        for joint, error in by_joint.items():
-            j = diagnosis.joints.index(joint)
-            assert error.refitted == pytest.approx(diagnosis.rmse("refitted", "validation")[j])
-            assert error.corrected == pytest.approx(diagnosis.rmse("corrected", "validation")[j])
-    assert held and all(math.isfinite(e.ratio) for e in own.errors)
+    assert len({e.kind for e in own.errors}) == 1 and not diagnosis.test
+    for j, (joint, error) in enumerate(zip(diagnosis.joints, own.errors, strict=True)):
+        assert error.joint == joint
+        assert error.refitted == pytest.approx(diagnosis.rmse("refitted", "validation")[j])
+        assert error.corrected == pytest.approx(diagnosis.rmse("corrected", "validation")[j])
+
+
+def test_errors_are_of_the_test_set_too(diagnosis: Diagnosis) -> None:
+    (first,) = diagnosis.validation
+    walk = replace(first, trial=replace(first.trial, name="walk_1"), recording_name="walk_1")
+    residuals = {state: replace(r, validation=(), test=r.validation) for state, r in diagnosis.residuals.items()}
+    parted = replace(diagnosis, validation=(), test=(walk,), residuals=residuals)
+    errors = {(e.kind, e.joint): e for e in answer_of(0, parted, 2.0).errors}
+    assert {kind for kind, _ in errors} == {"walk"}
+    for j, joint in enumerate(diagnosis.joints):
+        left = diagnosis.residuals["corrected"].validation[0][:, j]
+        assert errors["walk", joint].corrected == pytest.approx(float(np.sqrt((left**2).mean())))
+
+
+def test_where_groups_differ_each_has_an_effect_of_its_own(diagnosis: Diagnosis) -> None:
+    (finding,) = diagnosis.findings
+    own = dict(finding.parameters)
+    d = replace(diagnosis, findings=(replace(finding, by_group={"A": own, "B": {}}),))
+    place = finding.named.locations[0]
+    assert set(answer_of(0, d, 2.0).named) == {(finding.named.effect, f"{place} in A")}
 
 
 def test_it_is_told_on_the_terminal_and_on_the_page(diagnosis: Diagnosis) -> None:
     (finding,) = diagnosis.findings
     effect, place = finding.named.effect, finding.named.locations[0]
-    first = answer_of(diagnosis, 2.0)
-    other = answer(("coulomb_friction", "hip", 0.4), as_well=[(effect, place)], ratio=1.25)
+    first = answer_of(0, diagnosis, 2.0)
+    other = answer(("coulomb_friction", "hip", 0.4), number=2, as_well=[(effect, place)], ratio=1.25)
     d = replace(diagnosis, splits=SplitComparison((first, other), 2, ("the time was up",)))
     out = io.StringIO()
     print_diagnosis(Console(file=out, width=200), d)
     text = out.getvalue()
-    assert "Undecided, as not all splits name it: " in text and "(1 of 2)" in text
+    assert "Undecided, as some splits name it and others do not: " in text and "(1 of 2)" in text
     assert "Over 2 splits: the default one and 1 random half of the trials" in text
     assert "undecided, named in 1 of 2, and not distinguishable in 1 more" in text
     assert "at most 1.25 of the refitted one's (hip, step): it is worse there." in text
-    assert "1 of the 2 random halves asked for are missing: the time was up." in text
+    assert "1 of the 2 random halves asked for is missing: the time was up." in text
     shown = page(d, "leg")
     section = shown[shown.index('<section id="splits">') :].split("</section>")[0]
     assert "1 of 2" in section and "<img" in section and "1.25" in section and "it is worse there" in section
+    assert ">2</td>" in section and ">default</td>" in section  # by its number, of which there is no 1
+    alone = page(replace(diagnosis, splits=SplitComparison((first,), 2, ("the time was up",))), "leg")
+    assert "named in all" not in alone and "Over 1" not in alone and "2 of the 2 random halves" in alone
     assert 'id="splits"' not in page(diagnosis, "leg") and "Undecided" not in page(diagnosis, "leg")
     assert d.to_dict()["splits"]["fewer"] == ["the time was up"] and "splits" not in diagnosis.to_dict()
 
@@ -172,7 +204,7 @@ def test_the_default_split_is_the_answer_and_the_others_are_compared(diagnosis: 
     assert asked == [None, *OTHERS] and found.findings == diagnosis.findings
     assert told == [("search", 0.125), *((f"split {k} of 3: search", (k + 0.5) / 4) for k in (1, 2, 3))]
     assert found.splits is not None and [bool(a.named) for a in found.splits.answers] == [True, False, False, False]
-    assert found.splits.fewer == ("the trials have no more than 3 random halves",)
+    assert found.splits.fewer == ("no more than 3 different ones were found",)
 
 
 @pytest.mark.parametrize("ends", ["spent", "unfinished"])

@@ -76,6 +76,11 @@ class Holdout:
     last: frozenset[int] = frozenset()
     share: float = LAST
 
+    def differs(self, other: Holdout) -> bool:
+        """Whether other trials are fitted than with another, or other parts of them."""
+        own, theirs = ((h.validation, h.test, h.ends, h.share) for h in (self, other))
+        return own != theirs
+
 
 def kind_of(name: str) -> str:
     """A recording's name up to its first digit: those of which it is the same are of one kind."""
@@ -227,9 +232,10 @@ def split(
         heldout: what is held out, in the place of what these patterns and ``until`` say.
 
     Raises:
-        ConfigError: where recordings cannot be used, a pattern fits none, the window is none, ``until`` leaves
-            nothing to judge by, or nothing is left to fit.
+        ConfigError: where recordings cannot be used, a pattern fits none, the window is none, ``until`` or ``heldout``
+            leaves nothing to judge by, or nothing is left to fit.
     """
+    until, given = (until, False) if heldout is None else (None, True)
     heldout = _checked_holdout(model, recordings, validation, test, until, window, groups, heldout)
     short = not model.robot.traits.held_in_place
     if short:
@@ -240,6 +246,8 @@ def split(
             shoot, short = longest.length, not longest.steady
         shoot = min(shoot or math.inf, ENOUGH) if long else shoot
     parts = _grouped(_parted(model, recordings, heldout, until, window, shoot, short), groups)
+    if given and not parts.validation:
+        raise ConfigError(f"nothing is held out that has {LEAST_SAMPLES} samples, too few to judge by")
     if until is not None and not parts.validation:
         raise ConfigError(
             f"fitted is what comes before {until:g} s, and no trial has {LEAST_SAMPLES} samples after that, too few to "
@@ -305,6 +313,7 @@ def never_held_out(
     Raises:
         ConfigError: where recordings cannot be used, a pattern fits none, or the window is none.
     """
+    until = until if heldout is None else None
     heldout = _checked_holdout(model, recordings, validation, test, until, window, groups, heldout)
     found: list[Segment] = []
     for k, r in enumerate(recordings):

@@ -119,7 +119,7 @@ _ROWS: Mapping[str, tuple[Row, ...]] = {
     ),
     # --- which trials are fitted, and how they are cut ----------------------------------------------------------------
     "diagnosis.random_splits": (
-        ("MOST_DRAWS", 20, "arithmetic", "convention", "draws in vain that end the search for another split"),
+        ("MOST_DRAWS", 200, "arithmetic", "convention", "draws in vain that end the search for another split"),
         ("ENDS", (0.375, 0.625), "method", "convention", "share of a trial alone that a random split holds out"),
     ),
     "diagnosis.holdout": (

@@ -13,7 +13,7 @@ import numpy as np
 
 from equimus_ctrl.diagnosis.holdout import Holdout, choose_holdout
 
-MOST_DRAWS = 20
+MOST_DRAWS = 200
 """So many draws in vain end the search for a split that is none of those before."""
 ENDS = 0.375, 0.625
 """Between what shares of a trial alone, or alone of its kind, is held out: half of it, more or less."""
@@ -22,7 +22,7 @@ ENDS = 0.375, 0.625
 def random_holdouts(
     names: Sequence[str], count: int, seed: int = 0, *, test: Sequence[str] = (), groups: Sequence[str] = ()
 ) -> tuple[Holdout, ...]:
-    """What is held out in some random splits, no two of them alike.
+    """What is held out in some random splits, no two of them alike and none the default split.
 
     The test set is that of the default split: it takes no part in any. Of all other trials half are drawn for
     validation, in each group by itself, and the rest are fitted, one at least. Of a trial of which the end is held out
@@ -30,7 +30,7 @@ def random_holdouts(
 
     Args:
         names: of all trials, in order.
-        count: how many splits; fewer come back where there are not so many.
+        count: how many splits; fewer come back where no more are found.
         seed: of the draws.
         test: patterns of names of trials, see ``holdout.choose_holdout``.
         groups: of each trial the one that it belongs to.
@@ -43,7 +43,7 @@ def random_holdouts(
     for number in range(count):
         rng = np.random.default_rng((seed, number))
         drawn = (_drawn(usual, names, groups, rng) for _ in range(MOST_DRAWS))
-        own = next((own for own in drawn if own not in found), None)
+        own = next((own for own in drawn if all(map(own.differs, (usual, *found)))), None)
         if own is None:
             break
         found.append(own)

@@ -40,14 +40,17 @@ class SplitAnswer:
     """What one split's diagnosis found.
 
     Attributes:
+        number: of the split, 0 for the default one.
         fitted: names of the trials that were fitted, whole or in part.
         verdict: in one word.
-        named: for each effect that is named, at each of its places, the parameters.
+        named: for each effect that is named, at each of its places, the parameters; a place "knee in unit_b" where
+            these differ between groups of trials.
         as_well: effects and places that fit as well in the place of one that is named.
         errors: on what was held out.
         seconds: that it took [s].
     """
 
+    number: int
     fitted: tuple[str, ...]
     verdict: str
     named: Mapping[Place, Mapping[str, Estimate]]
@@ -58,6 +61,7 @@ class SplitAnswer:
     def to_dict(self) -> dict[str, Any]:
         """As JSON data."""
         return {
+            "split": self.number,
             "fitted": list(self.fitted),
             "verdict": self.verdict,
             "findings": [
@@ -77,8 +81,8 @@ class OverSplits:
     Attributes:
         effect: its name.
         place: where.
-        named: in which of the answers, by their places, it is named.
-        as_well: in which it fits as well in the place of what is named.
+        named: the numbers of the splits that name it.
+        as_well: of those in which it fits as well in the place of what is named.
         estimates: for each parameter what those say that name it.
     """
 
@@ -124,10 +128,10 @@ class SplitComparison:
 
     def _of(self, effect: str, place: str) -> OverSplits:
         own = effect, place
-        named = tuple(k for k, answer in enumerate(self.answers) if own in answer.named)
-        as_well = tuple(k for k, answer in enumerate(self.answers) if own in answer.as_well)
-        first = self.answers[named[0]].named[own]
-        values = {key: tuple(self.answers[k].named[own][key] for k in named) for key in first}
+        those = [answer for answer in self.answers if own in answer.named]
+        named = tuple(answer.number for answer in those)
+        as_well = tuple(answer.number for answer in self.answers if own in answer.as_well)
+        values = {key: tuple(answer.named[own][key] for answer in those) for key in those[0].named[own]}
         return OverSplits(effect, place, named, as_well, values)
 
     @property
@@ -137,8 +141,8 @@ class SplitComparison:
 
     @property
     def worst(self) -> HeldOutError | None:
-        """Where the augmented model does least for the error on held-out trials; None where nothing was found."""
-        errors = [e for answer in self.answers if answer.named for e in answer.errors if math.isfinite(e.ratio)]
+        """Where the augmented model does least for the error on held-out trials; None where it is the refitted one."""
+        errors = [e for a in self.answers for e in a.errors if math.isfinite(e.ratio) and e.corrected != e.refitted]
         return max(errors, key=lambda e: e.ratio, default=None)
 
     def to_dict(self) -> dict[str, Any]:

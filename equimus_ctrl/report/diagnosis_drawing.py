@@ -241,20 +241,26 @@ def splits_figure(splits: SplitComparison) -> Figure:
     grid = drawn.subplots(height, COLUMNS, squeeze=False)
     for axes in grid.flat[len(shown) :]:
         axes.set_visible(False)
-    n = len(splits.answers)
-    for law, axes in zip(shown, grid.flat, strict=False):
-        key, estimates = next(iter(law.estimates.items()))
+    place = {answer.number: k for k, answer in enumerate(splits.answers)}
+    for effect, axes in zip(shown, grid.flat, strict=False):
+        key, estimates = next(iter(effect.estimates.items()))
         scale = reading(estimates[0].unit, estimates[0].value)
-        for k, own in zip(law.named, estimates, strict=True):
+        endless: list[tuple[int, float, bool, str]] = []
+        for number, own in zip(effect.named, estimates, strict=True):
+            k, colour = place[number], style.FAINT if number else style.JOINT_COLOURS[0]
             value, low, high = (v * scale.factor for v in (own.value, own.low, own.high))
             ends = [[value - low if math.isfinite(low) else 0.0], [high - value if math.isfinite(high) else 0.0]]
-            colour = style.JOINT_COLOURS[0] if k == 0 else style.FAINT
+            endless += [(k, value, end > value, colour) for end in (low, high) if not math.isfinite(end)]
             axes.errorbar([k], [value], yerr=ends, fmt="o", markersize=4, color=colour, capsize=2, linewidth=1.2)
-        for k in sorted(set(range(n)) - set(law.named)):
-            axes.axvspan(k - 0.4, k + 0.4, color=style.SHADE, linewidth=0)
-        axes.set_xlim(-BESIDE - 0.1, n - 1 + BESIDE + 0.1)
-        axes.set_xticks(range(n), [which(k) for k in range(n)])
+        edges = axes.get_ylim()
+        for k, value, up, colour in endless:
+            axes.vlines(k, value, edges[up], color=colour, linewidth=1.2, linestyles=":")
+        axes.set_ylim(edges)
+        for number in sorted(place.keys() - effect.named):
+            axes.axvspan(place[number] - 0.4, place[number] + 0.4, color=style.SHADE, linewidth=0)
+        axes.set_xlim(-BESIDE - 0.1, len(place) - 1 + BESIDE + 0.1)
+        axes.set_xticks(range(len(place)), [which(number) for number in place])
         label = key.replace("_", " ")
         y = f"{label} [{scale.unit}]" if scale.unit else label
-        style.dress(axes, title=f"{named(law)}: {len(law.named)} of {n}", y=y)
+        style.dress(axes, title=f"{named(effect)}: {len(effect.named)} of {len(place)}", y=y)
     return drawn

@@ -255,13 +255,14 @@ def _splits(diagnosis: Diagnosis, figures: dict[str, Figure]) -> str:
         return ""
     splits = diagnosis.splits
     body = f"<p>{escape(diagnosis_splits.head(splits))}.</p>"
-    if "splits" not in figures:
-        body += "<p>No split names an effect.</p>"
-    else:
-        alt = "The first size of each effect with its interval, split by split; grey where a split does not name it"
-        body += _figure(figures["splits"], alt) + _table(*diagnosis_splits.of_effects(splits), text=2)
-    body += _table(*diagnosis_splits.of_splits(splits), text=2)
-    body += "<p class=\"faint\">Of joints: the augmented model's error on held-out trials over the refitted one's.</p>"
+    if len(splits.answers) > 1:
+        if "splits" in figures:
+            alt = "The first size of each effect with its interval, split by split; grey where a split does not name it"
+            body += _figure(figures["splits"], alt) + _table(*diagnosis_splits.of_effects(splits), text=2)
+        else:
+            body += "<p>No split names an effect.</p>"
+        note = "Of joints: the augmented model's error on held-out trials over the refitted one's."
+        body += _table(*diagnosis_splits.of_splits(splits), text=2) + f'<p class="faint">{note}</p>'
     return body + _list(diagnosis_splits.beside(splits))
 
 

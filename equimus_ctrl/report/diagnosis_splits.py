@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 
 from equimus_ctrl.diagnosis.results import Diagnosis, Estimate, Named
@@ -15,6 +16,8 @@ Table = tuple[tuple[str, ...], list[tuple[str, ...]]]
 def head(splits: SplitComparison) -> str:
     """What was compared."""
     n = len(splits.answers) - 1
+    if not n:
+        return "Other splits of the trials"
     return f"Over {n + 1} splits: the default one and {n} random {'half' if n == 1 else 'halves'} of the trials"
 
 
@@ -23,33 +26,42 @@ def lines(diagnosis: Diagnosis) -> list[str]:
     splits = diagnosis.splits
     if splits is None:
         return []
-    return [*([_said(own, splits) for own in splits.effects] or ["No split names an effect."]), *beside(splits)]
+    effects = [_said(own, splits) for own in splits.effects] or ["No split names an effect."]
+    return [*(effects if len(splits.answers) > 1 else ()), *beside(splits)]
 
 
 def beside(splits: SplitComparison) -> list[str]:
-    """Whether the augmented model is anywhere worse than the refitted one, and why splits are missing."""
-    said = []
-    if (worst := splits.worst) is not None:
+    """The verdicts, whether the augmented model is anywhere worse than the refitted one, and why splits are missing."""
+    said, compared = list[str](), len(splits.answers) > 1
+    verdicts = Counter(answer.verdict.replace("_", " ") for answer in splits.answers)
+    if compared:
+        told = listed([f"{verdict} in {count}" for verdict, count in verdicts.most_common()])
+        said.append(f"Verdicts: {told} of {len(splits.answers)}.")
+    if compared and (worst := splits.worst) is not None:
         where = f"{worst.joint}, {worst.kind}" if worst.kind else worst.joint
         text = f"On held-out trials the augmented model's error is at most {number(worst.ratio)} of the refitted one's"
         said.append(f"{text} ({where}){': it is worse there' if worst.ratio > 1 else ''}.")
     if missing := splits.asked - len(splits.answers) + 1:
         why = f": {'; '.join(splits.fewer)}" if splits.fewer else ""
-        said.append(f"{missing} of the {splits.asked} random halves asked for are missing{why}.")
+        is_missing = "is" if missing == 1 else "are"
+        said.append(f"{missing} of the {splits.asked} random halves asked for {is_missing} missing{why}.")
     return said
 
 
 def undecided(diagnosis: Diagnosis) -> str:
-    """Which of the findings not all splits name, as a sentence; "" where all do."""
+    """Which effects some splits name and others do not, as a sentence; "" where there are none.
+
+    Of those that the default split does not name, the ones that most splits do.
+    """
     splits = diagnosis.splits
     if splits is None:
         return ""
-    hanging = [own for own in splits.undecided if 0 in own.named]
+    n = len(splits.answers)
+    hanging = [own for own in splits.undecided if 0 in own.named or 2 * len(own.named) > n]
     if not hanging:
         return ""
-    n = len(splits.answers)
     told = listed([f"{named(own)} ({len(own.named)} of {n})" for own in hanging])
-    return f"Undecided, as not all splits name {'it' if len(hanging) == 1 else 'them'}: {told}."
+    return f"Undecided, as some splits name {'it' if len(hanging) == 1 else 'them'} and others do not: {told}."
 
 
 def of_effects(splits: SplitComparison) -> Table:
@@ -65,10 +77,10 @@ def of_splits(splits: SplitComparison) -> Table:
     """A table of the splits: the verdict of each, how the error on held-out trials changes, and the time taken."""
     kinds = dict.fromkeys((e.joint, e.kind) for answer in splits.answers for e in answer.errors)
     body: list[tuple[str, ...]] = []
-    for k, answer in enumerate(splits.answers):
+    for answer in splits.answers:
         ratios = {(e.joint, e.kind): number(e.ratio) for e in answer.errors}
-        times = number(answer.seconds), str(len(answer.fitted))
-        body.append((which(k), answer.verdict.replace("_", " "), *(ratios.get(kind, "") for kind in kinds), *times))
+        verdict, times = answer.verdict.replace("_", " "), (number(answer.seconds), str(len(answer.fitted)))
+        body.append((which(answer.number), verdict, *(ratios.get(kind, "") for kind in kinds), *times))
     heads = (f"{joint}, {kind}" if kind else joint for joint, kind in kinds)
     return ("split", "verdict", *heads, "time [s]", "trials fitted"), body
 

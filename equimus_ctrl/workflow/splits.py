@@ -11,21 +11,21 @@ import numpy as np
 from equimus_ctrl.diagnosis.budget import BudgetSpent
 from equimus_ctrl.diagnosis.estimates import Estimate, Named
 from equimus_ctrl.diagnosis.holdout import Holdout, kind_of
-from equimus_ctrl.diagnosis.results import Diagnosis
+from equimus_ctrl.diagnosis.results import Diagnosis, Finding
 from equimus_ctrl.diagnosis.split_comparison import HeldOutError, Place, SplitAnswer, SplitComparison
 from equimus_ctrl.diagnosis.state import Progress
 from equimus_ctrl.errors import EquimusError
 from equimus_ctrl.types import Array
 
 Diagnosed = Callable[[Holdout | None, Progress], Diagnosis]
-"""A diagnosis with some trials held out, by default the usual ones; it tells how far it is.
+"""A diagnosis with some trials held out, those of the default split where none are given; it tells how far it is.
 
 Raises BudgetSpent where the budget ends before there is anything to tell.
 """
 
 
 def over_splits(diagnosed: Diagnosed, others: Sequence[Holdout], asked: int, progress: Progress) -> Diagnosis:
-    """The diagnosis by the usual split, with what those by others say.
+    """The diagnosis by the default split, with what those by others say.
 
     A diagnosis by another split that was ended before its answer, or could not be carried out, does not count.
 
@@ -46,9 +46,9 @@ def over_splits(diagnosed: Diagnosed, others: Sequence[Holdout], asked: int, pro
 
     begun = time.perf_counter()
     first = diagnosed(None, part(0))
-    answers, fewer = [answer_of(first, time.perf_counter() - begun)], list[str]()
+    answers, fewer = [answer_of(0, first, time.perf_counter() - begun)], list[str]()
     if len(others) < asked:
-        fewer.append(f"the trials have no more than {len(others)} random halves")
+        fewer.append(f"no more than {len(others)} different ones were found")
     for k, heldout in enumerate(others, start=1):
         begun = time.perf_counter()
         try:
@@ -61,20 +61,32 @@ def over_splits(diagnosed: Diagnosed, others: Sequence[Holdout], asked: int, pro
         if found is None or found.not_done:
             fewer.append("the time was up, or the best so far was asked for")
             break
-        answers.append(answer_of(found, time.perf_counter() - begun))
+        answers.append(answer_of(k, found, time.perf_counter() - begun))
     return replace(first, splits=SplitComparison(tuple(answers), asked, tuple(fewer)))
 
 
-def answer_of(diagnosis: Diagnosis, seconds: float) -> SplitAnswer:
-    """What a diagnosis found that took so long [s]."""
+def answer_of(number: int, diagnosis: Diagnosis, seconds: float) -> SplitAnswer:
+    """What a split's diagnosis found that took so long [s]."""
     named: dict[Place, Mapping[str, Estimate]] = {}
     as_well = set[Place]()
     for finding in diagnosis.findings:
-        named |= dict.fromkeys(_places(finding.named), finding.parameters)
+        named |= _named(finding)
         as_well.update(place for other in finding.equivalent for place in _places(other))
     fitted = tuple({s.recording: s.recording_name for s in diagnosis.train}.values())
     errors = tuple(_errors(diagnosis))
-    return SplitAnswer(fitted, diagnosis.verdict, named, frozenset(as_well) - named.keys(), errors, seconds)
+    return SplitAnswer(number, fitted, diagnosis.verdict, named, frozenset(as_well) - named.keys(), errors, seconds)
+
+
+def _named(finding: Finding) -> dict[Place, Mapping[str, Estimate]]:
+    """Its parameters at each of its places, of groups of trials that differ in each where it acts."""
+    if not finding.by_group:
+        return dict.fromkeys(_places(finding.named), finding.parameters)
+    return {
+        (effect, f"{place} in {group}"): own
+        for group, own in finding.by_group.items()
+        for effect, place in _places(finding.named)
+        if own
+    }
 
 
 def _places(named: Named) -> Iterable[Place]:
