@@ -254,6 +254,20 @@ def test_held_out_trials_judge_what_an_ended_search_had_come_to(
     ]
 
 
+def test_where_held_out_trials_reject_what_an_ended_search_had_come_to_the_next_best_is_judged(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    known = Known({(): 5000.0, (RUB,): 2000.0, (STICK,): 1800.0, (DEAD,): 1700.0, (OFF,): 3000.0, (RUB, OFF): 1000.0})
+    rejects = [(frozenset({RUB}), frozenset({RUB, OFF})), (frozenset[str](), frozenset({DEAD}))]
+    split = held_out_rejects(monkeypatch, rejects)
+    begun = ended(known, RUB, OFF)
+    begun = replace(begun, tried=begun.tried.having(known(RUB), known(STICK), known(DEAD)))
+    said: dict[str, confirmation.Confirmation] = {}
+    end = confirmation.confirmed_as_fitted(OnPaper(known), begun, split, said.__setitem__)
+    assert end.best.labels == {STICK} and end.without == (known(),)
+    assert {label: one.found for label, one in said.items()} == {OFF: 0.0, DEAD: 0.0, STICK: 1.0}
+
+
 def test_a_rejected_effect_is_no_simpler_one_and_none_that_fits_as_well() -> None:
     known = Known({(): 5000.0, (RUB,): 1010.0, (STICK,): 1000.0, (OFF,): 1001.0})
     search = OnPaper(known, SearchSettings(many_minima=True))

@@ -151,27 +151,31 @@ def confirmed_as_fitted(
 ) -> SearchState:
     """The same where there is no time for further fits: what is left is a hypothesis that was fitted on the way.
 
+    It is the best of which every part is needed and confirmed, and none was rejected as part of a better one.
+
     Args:
         search: that was ended there.
         state: what it had come to.
         split: with the validation trials.
         tell: told of each part that is confirmed or rejected.
     """
+    rejected, needless = set[str](), set[frozenset[str]]()
     while split.validation and state.best.hypothesis:
-        if (needless := _needless(search, state)) is not None:
-            kept = state.best.labels - {state.best.hypothesis[needless].candidate.label}
-            state = _largest_known(search, state, kept)
+        if _needless(search, state) is not None:
+            needless.add(state.best.labels)
+            state = _best_known(search, state, rejected, needless)
             continue
         holdout, confirmations = _confirmations(search, state, split)
         parts = [part.candidate.label for part in state.best.hypothesis]
         place = least_confirmed(search, confirmations)
-        rejected = _makes_worse(search, holdout, state) if place is None else (place, confirmations[place])
-        if rejected is None:
+        against = _makes_worse(search, holdout, state) if place is None else (place, confirmations[place])
+        if against is None:
             for label, confirmation in zip(parts, confirmations, strict=True):
                 tell(label, confirmation)
             break
-        tell(parts[rejected[0]], rejected[1])
-        state = _largest_known(search, state, state.best.labels - {parts[rejected[0]]})
+        tell(parts[against[0]], against[1])
+        rejected.add(parts[against[0]])
+        state = _best_known(search, state, rejected, needless)
     return state
 
 
@@ -181,16 +185,34 @@ def _needless(search: HypothesisMoves, state: SearchState) -> int | None:
     return None if least is None or search.accepts(state.without[least], state.best) else least
 
 
-def _largest_known(search: HypothesisMoves, state: SearchState, labels: Set[str]) -> SearchState:
-    """A search at the best hypothesis of some parts that was fitted, and so was it without each of its parts."""
+def _best_known(
+    search: HypothesisMoves, state: SearchState, rejected: Set[str], needless: Set[frozenset[str]]
+) -> SearchState:
+    """A search at the best hypothesis that was fitted, and so was it without each of its parts.
+
+    Args:
+        search: whose it is.
+        state: with what was fitted.
+        rejected: labels of parts that it must not have.
+        needless: labels of hypotheses that it is not, together.
+    """
     known = {state.base.labels: state.base}
-    for fitted in sorted((*state.tried.fitted, *state.without), key=lambda f: -f.deviance):
+    for fitted in sorted((*state.tried.fitted, *state.without, state.best), key=lambda f: -f.deviance):
         known[fitted.labels] = fitted
     rests = {fitted: [fitted.labels - {p.candidate.label} for p in fitted.hypothesis] for fitted in known.values()}
-    left = [fitted for fitted, rest in rests.items() if fitted.labels <= labels and known.keys() >= set(rest)]
+    left = [
+        fitted
+        for fitted, rest in rests.items()
+        if known.keys() >= set(rest) and not fitted.labels & rejected and fitted.labels not in needless
+        and len(fitted.hypothesis) <= search.settings.most_parts and state.tried.allows(fitted.candidates)
+    ]  # fmt: skip
     best = min(left, key=search.score)  # the model without any part at least
     return replace(
-        state, best=best, without=tuple(known[own] for own in rests[best]), alternatives=tuple(() for _ in rests[best])
+        state,
+        best=best,
+        without=tuple(known[own] for own in rests[best]),
+        alternatives=tuple(() for _ in rests[best]),
+        tried=state.tried.having(state.best, *state.without),
     )
 
 
