@@ -387,6 +387,32 @@ def test_what_diverges_from_where_a_larger_set_ended_begins_at_the_nominal_param
     assert found.deviance == 10.0 and begun == [0.0, 1.0]
 
 
+@pytest.mark.parametrize(
+    ("simpler", "begun"), [(8.0, [{"friction": 0.01}, {"friction": 0.0}]), (12.0, [{"friction": 0.01}])]
+)
+def test_a_fit_that_failed_begins_again_at_a_simpler_one(simpler: float, begun: list[dict[str, float]]) -> None:
+    """One that is held by it cannot fit better: where a trial diverges, say, the fit is lost."""
+    guesses: list[dict[str, float]] = []
+
+    def coarse_fit(hypothesis: tuple[Part, ...], begin: Any, *rest: object, settled: object) -> Fitted:
+        guesses.append(dict(hypothesis[0].values))
+        return fitted(10.0 if len(guesses) == 1 else 7.0, RUB)
+
+    data: Any = SimpleNamespace(
+        free=SimpleNamespace(free=[], start=np.ones(1), model=nominal_model()),
+        theta_of=lambda theta, hypothesis: theta,
+        coarse_fit=coarse_fit,
+        converge=lambda f, settled: f,
+        discontinuous=lambda hypothesis, but: [],
+        segments=(),
+    )
+    found, tried = HypothesisMoves(data, []).refit(
+        SearchHistory((fitted(simpler),)), fitted(5.0, RUB, OFF), (Part(POOL[RUB], VALUES["coulomb_friction"]),)
+    )
+    assert found.deviance == min(7.0 if simpler < 10.0 else 10.0, 10.0) and guesses == begun
+    assert tried.fitted[-1] is found
+
+
 def test_the_same_refit_is_done_once() -> None:
     """Discontinuous parameters of parts that the fit has from which it begins are scanned no more."""
     scanned: list[tuple[object, bool]] = []

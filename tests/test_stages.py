@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+import time
+from dataclasses import dataclass, field, replace
 from types import SimpleNamespace
 from typing import Any
 
@@ -11,13 +12,15 @@ import pytest
 from search_on_paper import DEAD, OFF, POOL, RUB, STICK, VALUES, Known, OnPaper, ended, fitted
 
 from equimus_ctrl.diagnosis import reporting, stages
-from equimus_ctrl.diagnosis.budget import BudgetSpent
+from equimus_ctrl.diagnosis.budget import Budget, BudgetSpent
 from equimus_ctrl.diagnosis.confirmation import Confirmation
 from equimus_ctrl.diagnosis.fitting import Data
 from equimus_ctrl.diagnosis.holdout import Split
 from equimus_ctrl.diagnosis.hypothesis import Candidate, Part
+from equimus_ctrl.diagnosis.policy import SearchSettings
 from equimus_ctrl.diagnosis.residuals import ResidualAboveNoise
 from equimus_ctrl.diagnosis.results import Decision, Equivalent, Named, Rejected
+from equimus_ctrl.diagnosis.search import Search
 from equimus_ctrl.diagnosis.search_state import SearchHistory, SearchState, Undecided
 from equimus_ctrl.diagnosis.state import DiagnosisInputs, DiagnosisSettings, State, forward
 from equimus_ctrl.diagnosis.unexplained import ResidualAnalysis
@@ -120,10 +123,10 @@ def test_one_that_leaves_something_is_told_and_changes_nothing(
 
 def test_one_that_the_budget_ends_leaves_the_stage_undone(monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(BudgetSpent):
-        repeated(monkeypatch, ended_in="search")
+        repeated(monkeypatch, cut_short=("search",))
     first = state_of(SearchState(fitted(9.0), fitted(8.0, OFF)), SPLIT, analysis=ALONE)
     after = next(stage for stage in stages.ORDER if stage.name == "other_holdout").after(first)
-    assert after.ended_in == "other_holdout" and not stages.settled(after) and after.end is first.end
+    assert after.cut_short == ("other_holdout",) and not stages.settled(after) and after.end is first.end
 
 
 def test_one_that_diverges_is_rejected(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -150,6 +153,44 @@ def test_shares_never_fall() -> None:
 
 
 # --- what ends a diagnosis ----------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class CutShort(Search):
+    """A search that the budget ends on the way to an effect, with fits that are looked up."""
+
+    known: Known = field(default_factory=lambda: Known({(): 900.0, (RUB,): 100.0}))
+
+    def steps(self, state: SearchState, *given: object, **options: object) -> Any:
+        assert self.data.budget.seconds < 10.0, "of a budget of 10 s a search may take a share"
+        yield state
+        self.reached(self.data, replace(state, best=self.known(RUB)))
+        raise BudgetSpent
+
+    def begun_in_torques(self, state: SearchState) -> Any:
+        yield from ()
+
+    def refit(self, tried: SearchHistory, fitted: Any, hypothesis: tuple[Part, ...]) -> tuple[Any, SearchHistory]:
+        self.data.budget.check()
+        return self.known(*(part.candidate.label for part in hypothesis)), tried
+
+
+@pytest.mark.parametrize("over", [False, True], ids=["its share is up", "the whole is up"])
+def test_what_a_search_had_come_to_is_judged_with_the_rest_of_the_budget(
+    over: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(stages, "simulated", lambda search, end: None)
+    given = inputs(Split((), ()))
+    given = replace(given, data=replace(given.data, budget=Budget(10.0, lambda: over, time.perf_counter())))
+    search = CutShort(given.data, list(POOL.values()), SearchSettings())
+    state = State(given, search, SearchState(search.known(), search.known()), None, ())
+    after = stages.find_effects(state)
+    assert after.end.best is search.known(RUB) and after.cut_short == ("search",)
+    assert after.data.budget.seconds == 10.0, "the rest may take the rest"
+    assert after.ended_in == ("search" if over else "")
+    assert after.end.without == (() if over else (search.known(),))
+    left = [stage.name for stage in stages.skipped(after)]
+    assert left == (list(stages.STAGES) if over else ["search"]) and not stages.settled(after)
 
 
 @pytest.mark.parametrize("name", [stage.name for stage in stages.ORDER])

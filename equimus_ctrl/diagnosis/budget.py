@@ -6,7 +6,7 @@ import math
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from equimus_ctrl.errors import ConfigError
 
@@ -48,10 +48,19 @@ class Budget:
             raise ConfigError(f"the budget is {seconds:g} s, expected a time above 0")
         return cls(math.inf if seconds is None else seconds, asked, time.perf_counter())
 
+    @property
+    def over(self) -> bool:
+        """Whether it is time to end."""
+        return self.asked() or time.perf_counter() - self.begun > self.seconds
+
     def check(self) -> None:
         """Raise BudgetSpent where it is time to end."""
-        if self.asked() or time.perf_counter() - self.begun > self.seconds:
+        if self.over:
             raise BudgetSpent
+
+    def share(self, part: float) -> Budget:
+        """The first part of it, of work that others have to follow."""
+        return replace(self, seconds=part * self.seconds)
 
     @contextmanager
     def with_nothing_yet(self) -> Iterator[None]:

@@ -160,6 +160,8 @@ def confirmed_as_fitted(
         tell: told of each part that is confirmed or rejected.
     """
     rejected, needless = set[str](), set[frozenset[str]]()
+    if len(state.without) < len(state.best.hypothesis):
+        state = _best_known(search, state, rejected, needless)
     while split.validation and state.best.hypothesis:
         if _needless(search, state) is not None:
             needless.add(state.best.labels)
@@ -320,13 +322,14 @@ def _another(
     for fitted in sorted(state.tried.fitted, key=search.score):
         if len(looked_at) >= search.settings.unconfirmed or search.score(fitted) >= limit:
             break
-        known = looked_at | been
-        if fitted.labels in known or not state.tried.allows(fitted.candidates) or _same_effects(fitted, rejected):
+        size, known = len(fitted.hypothesis), looked_at | been
+        if not 0 < size <= search.settings.most_parts or fitted.labels in known:
             continue
-        if len(fitted.hypothesis) > search.settings.most_parts:
+        if not state.tried.allows(fitted.candidates) or _same_effects(fitted, rejected):
             continue
         looked_at.add(fitted.labels)
-        best = search.data.converge(fitted)
+        best = state.tried.converged.get(fitted) or search.data.converge(fitted)
+        state = replace(state, tried=replace(state.tried, converged={**state.tried.converged, fitted: best}))
         holdout = HoldoutResiduals(search.data, split, replace(state, best=best))
         for k in range(len(best.hypothesis)):
             without, tried = search.refit(state.tried, best, (*best.hypothesis[:k], *best.hypothesis[k + 1 :]))

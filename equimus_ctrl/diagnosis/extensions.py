@@ -10,7 +10,7 @@ from functools import cached_property
 import numpy as np
 
 from equimus_ctrl import computer
-from equimus_ctrl.diagnosis.fitting import CONVERGED_GAIN, Fitted
+from equimus_ctrl.diagnosis.fitting import CONVERGED_GAIN, Data, Fitted
 from equimus_ctrl.diagnosis.group_splits import own_in_each_group, splits_by_group
 from equimus_ctrl.diagnosis.holdout import Split
 from equimus_ctrl.diagnosis.holdout_residuals import HoldoutResiduals
@@ -40,6 +40,9 @@ from equimus_ctrl.types import Array
 
 Notify = Callable[[str, str], None]
 """Called with the stage and the best hypothesis so far."""
+Reached = Callable[[Data, SearchState], None]
+"""Called with where a search has come to on the way, for where a budget ends it, and the data that it is fitted to.
+Fits without each of its parts may not all have been made yet."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,6 +51,7 @@ class Extensions(Scoring):
 
     Attributes:
         notify: see ``Notify``.
+        reached: see ``Reached``.
         fits_on_short_intervals: hypotheses with these candidates, fitted to short shooting intervals of the same
             trials, to start from.
         fits_with_other_engine: those fitted to the same segments with another engine, as further alternatives.
@@ -56,6 +60,7 @@ class Extensions(Scoring):
     """
 
     notify: Notify = lambda stage, best: None
+    reached: Reached = lambda data, state: None
     fits_on_short_intervals: Sequence[Fitted] = ()
     fits_with_other_engine: Sequence[Fitted] = ()
     held_out: Split | None = None

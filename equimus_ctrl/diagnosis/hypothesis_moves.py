@@ -6,8 +6,8 @@ from dataclasses import dataclass, replace
 
 from equimus_ctrl.diagnosis.compensation import compensated
 from equimus_ctrl.diagnosis.extensions import Extensions
-from equimus_ctrl.diagnosis.fitting import Fitted
-from equimus_ctrl.diagnosis.hypothesis import Hypothesis, model_of
+from equimus_ctrl.diagnosis.fitting import CONVERGED_GAIN, Fitted
+from equimus_ctrl.diagnosis.hypothesis import Hypothesis, Part, model_of
 from equimus_ctrl.diagnosis.search_state import (
     SearchHistory,
     SearchState,
@@ -30,6 +30,7 @@ class HypothesisMoves(Extensions):
         """
         for _ in range(self.settings.exchanges):
             state, changed = self._dropped_or_exchanged(state)
+            self.reached(self.data, state)
             if not changed:
                 return state
         return self.moved(state, state.best)
@@ -48,6 +49,7 @@ class HypothesisMoves(Extensions):
         for part, rest in zip(best.hypothesis, without, strict=True):
             self.notify(f"in the place of {part.candidate.label}", best.label)
             others, tried = self.challenge(tried, rest, part.candidate.label, best)
+            self.reached(self.data, replace(needed, tried=tried))
             alternatives.append(tuple(others))
             no_larger = [o for o in others if len(o.hypothesis) <= len(best.hypothesis)]
             better = [o for o in no_larger if self.outdoes(o, best)]
@@ -65,6 +67,7 @@ class HypothesisMoves(Extensions):
         """
         while (after := self._without_each(state)).best is not state.best:
             state = after
+            self.reached(self.data, state)
         return after
 
     def _without_each(self, state: SearchState) -> SearchState:
@@ -74,6 +77,7 @@ class HypothesisMoves(Extensions):
         for k, part in enumerate(best.hypothesis):
             self.notify(f"without {part.candidate.label}", best.label)
             rest, tried = self.refit(tried, best, best.hypothesis[:k] + best.hypothesis[k + 1 :])
+            self.reached(self.data, replace(state, tried=tried))
             if not self.accepts(rest, best):
                 return replace(state, best=rest, without=(), alternatives=(), tried=tried)
             without.append(rest)
@@ -105,6 +109,7 @@ class HypothesisMoves(Extensions):
         without: list[Fitted] = []
         for k in range(len(parts)):
             rest, tried = self.refit(tried, best, parts[:k] + parts[k + 1 :])
+            self.reached(self.data, replace(state, tried=tried))
             without.append(rest)
         # The alternatives were fitted beside other parts, so they are fitted anew, see ``alternatives.listed``.
         return replace(state, best=best, without=tuple(without), alternatives=tuple(() for _ in parts), tried=tried)
@@ -112,7 +117,8 @@ class HypothesisMoves(Extensions):
     def refit(self, tried: SearchHistory, fitted: Fitted, hypothesis: Hypothesis) -> tuple[Fitted, SearchHistory]:
         """A hypothesis fitted until converged, from the model parameters and initial states of another's fit.
 
-        Where it diverges from there, it begins at the nominal parameters and the measured initial states.
+        Where it diverges from there, it begins at the nominal parameters and the measured initial states. Where it ends
+        above a simpler hypothesis that was fitted, it begins again at that.
 
         Args:
             tried: the history so far.
@@ -139,4 +145,33 @@ class HypothesisMoves(Extensions):
             begins = [(data.theta_of(data.free.start, hypothesis), [s.start for s in data.segments])]
             after = data.coarse_fit(hypothesis, begins, noise, steps, settled=fitted.labels)
         after = data.converge(after, settled=self._settled(hypothesis, fitted.labels))
+        if (poorer := self._poorer(tried, after)) is not None:
+            after = min(after, poorer, key=lambda f: f.deviance)
         return after, replace(tried.having(after), refits={**tried.refits, key: after})
+
+    def _poorer(self, tried: SearchHistory, fitted: Fitted) -> Fitted | None:
+        """A hypothesis fitted from the best simpler one, where that fits better though it is held by it.
+
+        So a fit has failed: of parts that some trial diverges with beside fewer others, say. None where it has not, or
+        some further part has no value at which it does nothing.
+
+        Raises:
+            BudgetSpent: where the budget ends.
+        """
+        data, labels = self.data, fitted.labels
+        simpler = min((f for f in tried.fitted if f.labels < labels), key=lambda f: f.deviance, default=None)
+        if simpler is None or simpler.deviance > fitted.deviance - CONVERGED_GAIN:
+            return None
+        known = {part.candidate.label: part for part in simpler.hypothesis}
+        further = [p for p in fitted.hypothesis if p.candidate.label not in known]
+        if not all(p.candidate.sizes for p in further):
+            return None
+        faded = {p.candidate.label: Part(p.candidate, {**p.values, **p.candidate.grows_from()}) for p in further}
+        hypothesis = tuple((known | faded)[part.candidate.label] for part in fitted.hypothesis)
+        begin = (data.theta_of(simpler.fit.theta, hypothesis), simpler.fit.starts)
+        noise, steps = white_noise(simpler.fit.residuals), self.settings.long_steps
+        try:
+            begun = data.coarse_fit(hypothesis, [begin], noise, steps, settled=simpler.labels)
+        except SimulationDiverged:  # so nothing begins there
+            return None
+        return data.converge(begun, settled=self._settled(hypothesis, simpler.labels))

@@ -20,7 +20,7 @@ from equimus_ctrl.diagnosis.holdout import Split
 from equimus_ctrl.diagnosis.localization import excess_variances
 from equimus_ctrl.diagnosis.noise_size import noise_sizes
 from equimus_ctrl.diagnosis.search import Search
-from equimus_ctrl.diagnosis.search_state import SearchState
+from equimus_ctrl.diagnosis.search_state import SearchState, begun_at
 from equimus_ctrl.diagnosis.state import DiagnosisInputs, Progress, State
 from equimus_ctrl.effects.base import REGISTRY
 from equimus_ctrl.errors import SimulationDiverged
@@ -65,9 +65,7 @@ def refit(inputs: DiagnosisInputs) -> State:
             apart = told_apart(Apart(search, base), split)
             search, base, looked, short = apart.search, apart.best, short is not None, None
             short = _short_base(search.data, split) if looked else None
-    state = State(
-        inputs, search, SearchState(base, base), short, nominal_residuals(inputs, data), notes=inputs.settings.notes
-    )
+    state = State(inputs, search, begun_at(base), short, nominal_residuals(inputs, data), notes=inputs.settings.notes)
     sigma = noise_sizes(search.data, base)
     excess = zip(model.robot.joint_names, excess_variances(base.fit.residuals, sigma), strict=False)
     said = ", ".join(f"{joint} {variance:.3g}" for joint, variance in excess)
@@ -111,7 +109,7 @@ def searched_from_short(search: Search, end: SearchState, split: Split, base: Fi
         base: the model without effects, fitted to these.
     """
     data, settings = search.data, search.settings
-    short = replace(search, data=replace(data, segments=split.short_segments))
+    short = replace(search, data=replace(data, segments=split.short_segments), reached=lambda data, state: None)
     try:
         short_end = short.run(base, imitated=False)  # where it ends is only a beginning
     except SimulationDiverged:  # so short intervals are of no use

@@ -65,7 +65,7 @@ from equimus_ctrl.diagnosis.imitators import with_imitators
 from equimus_ctrl.diagnosis.residual_force import force_candidates, linearise_fit
 from equimus_ctrl.diagnosis.richer_laws import richer
 from equimus_ctrl.diagnosis.screening import screen
-from equimus_ctrl.diagnosis.search_state import Outdone, SearchHistory, SearchState, StopReason
+from equimus_ctrl.diagnosis.search_state import Outdone, SearchHistory, SearchState, StopReason, begun_at
 from equimus_ctrl.diagnosis.torque_start import laws_asked_for, worth_simulating
 from equimus_ctrl.errors import SimulationDiverged
 from equimus_ctrl.identification.noise import white_noise
@@ -113,7 +113,7 @@ class Search(HypothesisMoves):
 
     def run(self, base: Fitted, imitated: bool = True) -> SearchState:
         """Search from a model without effects that was refitted; see ``steps``."""
-        return self.go_on(SearchState(base, base), imitated=imitated)
+        return self.go_on(begun_at(base), imitated=imitated)
 
     def beginning(self, base: Fitted, start: Fitted) -> SearchState:
         """A hypothesis without the parts that are not needed, and with better fitting ones in its parts' places."""
@@ -125,8 +125,9 @@ class Search(HypothesisMoves):
         pool, domain = self.pool, self.torque_domain
         if domain is not None:
             pool = worth_simulating(self.data, domain, base, pool)
-        first = SearchHistory(first=tuple(screen(self.data, base, pool)))
-        state = self.needed(SearchState(base, start, tried=first))
+        begun = begun_at(base)
+        first = replace(begun.tried, first=tuple(screen(self.data, base, pool)))
+        state = self.needed(replace(begun, best=start, tried=first))
         yield state
         # Several may be what one law is: exchanged one by one, each takes a round of fits.
         yield simplified(self, pruned(self, self.exchanged(with_fewer_laws(self, state))))
@@ -210,6 +211,7 @@ class Search(HypothesisMoves):
     def _round(self, forward: _Forward) -> _Forward:
         """One more part, or the reason to stop."""
         options, tried = self._options(forward)
+        self.reached(self.data, replace(forward.last_accepted, tried=tried))
         before = forward.rounds_outdone
         rounds_outdone = 0 if options.outdone is None else before + 1
         forward = replace(forward, state=replace(forward.state, tried=tried), rounds_outdone=rounds_outdone)

@@ -73,6 +73,7 @@ class SearchHistory:
             parameters at further places a law is another one: that it fails at one may be for what it lacks there.
         extended: by a hypothesis' labels, and that of a candidate to replace or "".
         refits: by the fit that each began at, and the labels and initial values of its parts.
+        converged: by a fit, the same fitted until converged, where it had to be before held-out trials judge it.
         united: by a hypothesis, and what was rejected then, those fitted with one law in the place of several.
         imitations: fits in the place of a part that it outdoes: they may be listed beside it. Where held-out trials
             reject it they are not tried on these, for each try may be confirmed by chance.
@@ -83,6 +84,7 @@ class SearchHistory:
     rejected: frozenset[Law] = frozenset()
     extended: Mapping[tuple[frozenset[str], str], Extended] = field(default_factory=dict)
     refits: Mapping[tuple[Fitted, tuple[Hashable, ...]], Fitted] = field(default_factory=dict)
+    converged: Mapping[Fitted, Fitted] = field(default_factory=dict)
     united: Mapping[tuple[Fitted, frozenset[Law]], tuple[Fitted, ...]] = field(default_factory=dict)
     imitations: tuple[Fitted, ...] = ()
 
@@ -143,6 +145,11 @@ class SearchState:
         tried = replace(self.tried, rejected=self.tried.rejected | laws)
         alternatives = tuple(tuple(a for a in fits if tried.allows(a.candidates)) for fits in self.alternatives)
         return replace(self, alternatives=alternatives, tried=tried)
+
+
+def begun_at(base: Fitted) -> SearchState:
+    """Where a search begins: at the model without any effect."""
+    return SearchState(base, base, tried=SearchHistory((base,)))
 
 
 @dataclass(frozen=True, eq=False)

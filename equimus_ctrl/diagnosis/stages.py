@@ -46,6 +46,9 @@ from equimus_ctrl.types import Array
 
 OTHER_SHARE = (0.88, 0.94)
 """Share of the whole that is done when a diagnosis with other trials held out begins, and when it ends."""
+SEARCH_BUDGET = 0.75
+"""Share of a budget after which the search ends: what it has come to is worth little before held-out trials have judged
+it."""
 
 
 @dataclass(frozen=True)
@@ -106,14 +109,17 @@ def find_effects(state: State) -> State:
 
     A search begins with what measured torques ask for, where they say anything. Where residuals are large, a second
     search begins at the fit to short shooting intervals. After each step it is asked whether MuJoCo made the recordings
-    (``simulated``): then the search goes on without the error of its step. Where the budget ends, what the search had
-    come to is kept.
+    (``simulated``): then the search goes on without the error of its step. Of a budget it may take ``SEARCH_BUDGET``;
+    where that ends, what the search had come to is kept.
     """
-    search, end, made = state.search, state.end, None
+    whole, reached = state.data.budget, dict[Data, SearchState]()
+    state = state.within(whole.share(SEARCH_BUDGET))
+    search, end, made = replace(state.search, reached=reached.__setitem__), state.end, None
     try:
         steps: Iterator[SearchState] = chain([end], _begun_in_torques(search, end))
         while (now := next(steps, None)) is not None:
             end = now
+            reached.clear()
             if made is None and (made := simulated(search, end)) is not None:
                 search, end = made.search, made.end
                 steps = search.steps(end)
@@ -123,8 +129,21 @@ def find_effects(state: State) -> State:
         elif state.short is not None and state.data.far_above_noise(end.best):
             search, end = searched_from_short(search, end, state.inputs.split, state.short)
     except BudgetSpent:
-        return _accepted(_without_step(replace(state, search=search, end=end), made)).ended("search")
-    return _accepted(_without_step(replace(state, search=search, end=end), made))
+        end = reached.get(search.data, end)
+        state = _without_step(replace(state, search=search, end=end), made).within(whole).ended("search")
+        return _accepted(_with_fits_without(state))
+    return _accepted(_without_step(replace(state, search=search, end=end), made).within(whole))
+
+
+def _with_fits_without(state: State) -> State:
+    """With fits without each part, where time is left for them; a search that was ended may lack some."""
+    end = state.end
+    if state.ended_in or len(end.without) == len(end.best.hypothesis):
+        return state
+    try:
+        return replace(state, end=state.search.moved(end, end.best))
+    except BudgetSpent:
+        return state.ended("search")
 
 
 def _begun_in_torques(search: Search, end: SearchState) -> Iterator[SearchState]:
@@ -148,7 +167,7 @@ def _without_step(state: State, made: Simulated | None) -> State:
 def _accepted(state: State) -> State:
     """With a decision for each part of the hypothesis."""
     best = state.end.best
-    for part, without in zip(best.hypothesis, state.end.without, strict=True):
+    for part, without in zip(best.hypothesis, state.end.without, strict=not state.ended_in):
         gain, least = without.deviance - best.deviance, state.search.threshold(part.candidate.n_parameters)
         reason = f"−2Δln L {gain:.4g}, at least {least:.4g}"
         state = state.decided("search", f"{part.candidate.label} accepted", reason)
@@ -403,7 +422,7 @@ def repeat_with_other_holdout(state: State) -> State:
         second = _through(other, ORDER[: STAGES.index(OTHER_HOLDOUT)])
     except SimulationDiverged:
         return state.decided(OTHER_HOLDOUT, rejected, "the diagnosis without them could not be carried out")
-    if second.ended_in:
+    if second.cut_short:
         raise BudgetSpent
     told = (*state.decisions, *(replace(decision, other_holdout=True) for decision in second.decisions))
     if second.analysis.unexplained or second.failed:
@@ -484,7 +503,8 @@ STAGES = tuple(stage.name for stage in ORDER)
 
 def skipped(state: State) -> tuple[Stage, ...]:
     """Stages that were not carried out to their end."""
-    return ORDER[STAGES.index(state.ended_in) :] if state.ended_in else ()
+    after = STAGES.index(state.ended_in) if state.ended_in else len(ORDER)
+    return tuple(stage for k, stage in enumerate(ORDER) if k >= after or stage.name in state.cut_short)
 
 
 def settled(state: State) -> bool:

@@ -103,7 +103,8 @@ class State:
         failed: why the fit says nothing of other trials; "" where it does.
         differences: between groups of trials.
         another_unit: what of the model's parameters is not nominal; None where the nominal values fit as well.
-        ended_in: the stage in which the budget ended; "" where it did not.
+        cut_short: stages that the budget ended, or their share of it.
+        ended_in: the stage in which the whole budget ended; "" where it did not.
     """
 
     inputs: DiagnosisInputs
@@ -122,6 +123,7 @@ class State:
     failed: str = ""
     differences: tuple[Difference, ...] = ()
     another_unit: AnotherUnit | None = None
+    cut_short: tuple[str, ...] = ()
     ended_in: str = ""
 
     @property
@@ -131,13 +133,20 @@ class State:
 
     def without_budget(self) -> State:
         """The same for work of bounded size that is carried out though the budget may have ended."""
-        return replace(self, search=replace(self.search, data=replace(self.data, budget=Budget())))
+        return self.within(Budget())
+
+    def within(self, budget: Budget) -> State:
+        """The same for work that is to end with a budget."""
+        if budget == self.data.budget:
+            return self
+        return replace(self, search=replace(self.search, data=replace(self.data, budget=budget)))
 
     def ended(self, stage: str) -> State:
-        """The same, its budget having ended in a stage."""
-        return replace(self, ended_in=stage).decided(
-            stage, "ended", "the time was up, or the best so far was asked for"
-        )
+        """The same, its budget having ended in a stage: the whole, or what that stage may take of it."""
+        over = self.inputs.data.budget.over
+        why = "the time was up, or the best so far was asked for" if over else "its share of the time was up"
+        after = replace(self, cut_short=(*self.cut_short, stage), ended_in=stage if over else "")
+        return after.decided(stage, "ended", why)
 
     def decided(self, stage: str, decision: str, reason: str) -> State:
         """The same with one more decision."""
