@@ -14,7 +14,7 @@ from search_on_paper import DEAD, OFF, POOL, RUB, STICK, VALUES, Known, OnPaper,
 from equimus_ctrl.diagnosis import reporting, stages
 from equimus_ctrl.diagnosis.budget import Budget, BudgetSpent
 from equimus_ctrl.diagnosis.confirmation import Confirmation
-from equimus_ctrl.diagnosis.fitting import Data
+from equimus_ctrl.diagnosis.fitting import Data, Fitted
 from equimus_ctrl.diagnosis.holdout import Split
 from equimus_ctrl.diagnosis.hypothesis import Candidate, Part
 from equimus_ctrl.diagnosis.policy import SearchSettings
@@ -159,36 +159,45 @@ def test_shares_never_fall() -> None:
 class CutShort(Search):
     """A search that the budget ends on the way to an effect, with fits that are looked up."""
 
-    known: Known = field(default_factory=lambda: Known({(): 900.0, (RUB,): 100.0}))
+    known: Known = field(default_factory=lambda: Known({(): 900.0, (RUB,): 100.0, (OFF,): 200.0}))
+    second: bool = False
 
     def steps(self, state: SearchState, *given: object, **options: object) -> Any:
         assert self.data.budget.seconds < 10.0, "of a budget of 10 s a search may take a share"
         yield state
-        self.reached(self.data, replace(state, best=self.known(RUB)))
+        if self.second:
+            yield replace(state, best=self.known(RUB), without=(self.known(),), alternatives=((),))
+        way = OFF if self.second else RUB
+        self.reached(self.data, replace(state, best=self.known(way), tried=state.tried.having(self.known(way))))
         raise BudgetSpent
 
     def begun_in_torques(self, state: SearchState) -> Any:
         yield from ()
+
+    def score(self, fitted: Fitted) -> float:
+        return fitted.deviance
 
     def refit(self, tried: SearchHistory, fitted: Any, hypothesis: tuple[Part, ...]) -> tuple[Any, SearchHistory]:
         self.data.budget.check()
         return self.known(*(part.candidate.label for part in hypothesis)), tried
 
 
+@pytest.mark.parametrize("second", [False, True], ids=["one", "what comes next is worse"])
 @pytest.mark.parametrize("over", [False, True], ids=["its share is up", "the whole is up"])
 def test_what_a_search_had_come_to_is_judged_with_the_rest_of_the_budget(
-    over: bool, monkeypatch: pytest.MonkeyPatch
+    over: bool, second: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(stages, "simulated", lambda search, end: None)
     given = inputs(Split((), ()))
     given = replace(given, data=replace(given.data, budget=Budget(10.0, lambda: over, time.perf_counter())))
-    search = CutShort(given.data, list(POOL.values()), SearchSettings())
+    search = CutShort(given.data, list(POOL.values()), SearchSettings(), second=second)
     state = State(given, search, SearchState(search.known(), search.known()), None, ())
     after = stages.find_effects(state)
     assert after.end.best is search.known(RUB) and after.cut_short == ("search",)
     assert after.data.budget.seconds == 10.0, "the rest may take the rest"
     assert after.ended_in == ("search" if over else "")
-    assert after.end.without == (() if over else (search.known(),))
+    assert after.end.without == (() if over and not second else (search.known(),))
+    assert search.known(OFF if second else RUB) in after.end.tried.fitted
     left = [stage.name for stage in stages.skipped(after)]
     assert left == (list(stages.STAGES) if over else ["search"]) and not stages.settled(after)
 

@@ -129,10 +129,16 @@ def find_effects(state: State) -> State:
         elif state.short is not None and state.data.far_above_noise(end.best):
             search, end = searched_from_short(search, end, state.inputs.split, state.short)
     except BudgetSpent:
-        end = reached.get(search.data, end)
+        end = _better(search, end, reached.get(search.data, end))
         state = _without_step(replace(state, search=search, end=end), made).within(whole).ended("search")
         return _accepted(_with_fits_without(state))
     return _accepted(_without_step(replace(state, search=search, end=end), made).within(whole))
+
+
+def _better(search: Search, end: SearchState, way: SearchState) -> SearchState:
+    """The better of two ends, with what was tried on the way: a second search may not have come as far as the first."""
+    best = way if search.score(way.best) < search.score(end.best) else end
+    return replace(best, tried=way.tried)
 
 
 def _with_fits_without(state: State) -> State:
