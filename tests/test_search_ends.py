@@ -268,6 +268,23 @@ def test_where_held_out_trials_reject_what_an_ended_search_had_come_to_the_next_
     assert {label: one.found for label, one in said.items()} == {OFF: 0.0, DEAD: 0.0, STICK: 1.0}
 
 
+@pytest.mark.parametrize("many_minima", [False, True])
+def test_where_no_part_is_left_the_best_effects_alone_are_judged(
+    many_minima: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A search that began with several laws together may have fitted none by itself."""
+    known = Known({(): 5000.0, (RUB, OFF): 1000.0, (RUB,): 3000.0, (OFF,): 3100.0, (DEAD,): 2000.0, (FULL,): 2500.0})
+    rejects = [(frozenset({OFF}), frozenset({RUB, OFF})), (frozenset[str](), frozenset({OFF}))]
+    split = held_out_rejects(monkeypatch, [*rejects, (frozenset[str](), frozenset({RUB}))])
+    begun = replace(ended(known, RUB, OFF), alternatives=((), ()))
+    said: dict[str, confirmation.Confirmation] = {}
+    search = OnPaper(known, SearchSettings(many_minima=many_minima))
+    end = confirmation.confirmed(search, begun, split, said.__setitem__)
+    if many_minima:
+        assert end.best.labels == {DEAD} and end.without == (known(),) and said[DEAD].found == 1.0
+    assert said[RUB].found == said[OFF].found == 0.0
+
+
 def test_a_rejected_effect_is_no_simpler_one_and_none_that_fits_as_well() -> None:
     known = Known({(): 5000.0, (RUB,): 1010.0, (STICK,): 1000.0, (OFF,): 1001.0})
     search = OnPaper(known, SearchSettings(many_minima=True))

@@ -98,7 +98,8 @@ def confirmed(
 ) -> SearchState:
     """The hypothesis without the parts that held-out trials do not confirm, and those not needed without these.
 
-    Where an alternative fits as well in such a part's place and is confirmed, it is accepted.
+    Where an alternative fits as well in such a part's place and is confirmed, it is accepted. Where minima are many and
+    no part is left, the best effects alone are judged likewise, see ``_alone``.
 
     Args:
         search: that ended there.
@@ -110,9 +111,43 @@ def confirmed(
         BudgetSpent: where the budget ends.
         SimulationDiverged: where a hypothesis without one of its parts diverges.
     """
-    if not split.validation:
+    if not split.validation or not state.best.hypothesis:
         return state
     been: set[frozenset[str]] = set()
+    state = _confirmed(search, state, split, tell, been)
+    if search.settings.many_minima and not state.best.hypothesis:
+        state = _confirmed(search, _alone(search, state, been), split, tell, been)
+    return state
+
+
+def _alone(search: HypothesisMoves, state: SearchState, been: Set[frozenset[str]]) -> SearchState:
+    """A search moved to the best effect alone, of those that were not judged; as it is where none is accepted.
+
+    One that began with several laws together may have fitted none by itself, and what several imitate is simple.
+
+    Args:
+        search: whose it is.
+        state: without any part.
+        been: labels of what was looked at before.
+    """
+    options, tried = search.challenge(state.tried, state.best)
+    state = replace(state, tried=tried)
+    for option in sorted(options, key=search.score):
+        if option.labels not in been and search.accepts(state.best, option) and not search.aliased(option):
+            return replace(state, best=option, without=(state.best,), alternatives=((),))
+    return state
+
+
+def _confirmed(search: Search, state: SearchState, split: Split, tell: Tell, been: set[frozenset[str]]) -> SearchState:
+    """The same of what a search ended with.
+
+    Args:
+        search: that ended there.
+        state: its end.
+        split: with the validation trials.
+        tell: see ``confirmed``.
+        been: gets the labels of what is looked at.
+    """
     while state.best.hypothesis:
         been.add(state.best.labels)
         if (needless := _needless(search, state)) is not None:

@@ -45,6 +45,7 @@ first-order gains predict little. What differs:
     what held-out trials do not confirm is dropped; the only part is  exchanged for another hypothesis fitted, if one
                                         exchanged for one that fits   is confirmed; else the same
                                         as well, if it is confirmed
+    where they confirm none             nothing is named              the best effects alone are judged
     a law richer than they confirm      stays                         a simpler one takes its place
 """
 
