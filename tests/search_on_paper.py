@@ -92,6 +92,9 @@ class OnPaper(Search):
     def _beside_runners_up(self, state: SearchState) -> tuple[list[Fitted], SearchHistory]:
         return [], state.tried
 
+    def _withholding(self, accepted: SearchState) -> Search:
+        return self
+
     def _leaves_the_same(self, best: Fitted, other: Fitted) -> bool:
         return best.labels | other.labels in self.known.same
 

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from search_on_paper import DEAD, OFF, POOL, RUB, STICK, VALUES, Known, OnPaper, ended, fitted
+from search_on_paper import DEAD, OFF, POOL, RUB, STICK, VALUES, Known, OnPaper, ended, fitted, held_out_rejects
 
 from equimus_ctrl.diagnosis import reporting, stages
 from equimus_ctrl.diagnosis.budget import Budget, BudgetSpent
@@ -69,7 +69,7 @@ def repeated(monkeypatch: pytest.MonkeyPatch, **known: Any) -> tuple[State, list
     """What is known after the stage, the second diagnosis having come to this, and which stages it had."""
     asked: list[str] = []
 
-    def through(given: DiagnosisInputs, order: Any) -> State:
+    def through(given: DiagnosisInputs, order: Any, whole: bool) -> State:
         asked.extend(stage.name for stage in order)
         second = State(given, Searching(None), SearchState(fitted(9.0), fitted(1.0, RUB)), None, (), **known)
         return second.decided("search", f"{RUB} accepted", "it gains")
@@ -129,8 +129,15 @@ def test_one_that_the_budget_ends_leaves_the_stage_undone(monkeypatch: pytest.Mo
     assert after.cut_short == ("other_holdout",) and not stages.settled(after) and after.end is first.end
 
 
+def test_there_is_no_second_diagnosis_where_the_first_was_cut_short(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(stages, "_through", lambda *given, **options: pytest.fail("a second diagnosis"))
+    first = state_of(SearchState(fitted(9.0), fitted(8.0, OFF)), SPLIT, analysis=ALONE, cut_short=("search",))
+    after = next(stage for stage in stages.ORDER if stage.name == "other_holdout").after(first)
+    assert after.cut_short == ("search", "other_holdout")
+
+
 def test_one_that_diverges_is_rejected(monkeypatch: pytest.MonkeyPatch) -> None:
-    def diverges(*given: Any) -> State:
+    def diverges(*given: Any, **options: Any) -> State:
         raise SimulationDiverged("gone")
 
     monkeypatch.setattr(stages, "_through", diverges)
@@ -200,6 +207,33 @@ def test_what_a_search_had_come_to_is_judged_with_the_rest_of_the_budget(
     assert search.known(OFF if second else RUB) in after.end.tried.fitted
     left = [stage.name for stage in stages.skipped(after)]
     assert left == (list(stages.STAGES) if over else ["search"]) and not stages.settled(after)
+
+
+def test_of_two_ends_the_better_one_is_kept_with_the_fits_of_both() -> None:
+    search: Any = SimpleNamespace(score=lambda fit: fit.deviance)
+    known = {label: fitted(deviance, label) for label, deviance in ((RUB, 100.0), (OFF, 200.0), (DEAD, 300.0))}
+    end = SearchState(fitted(900.0), known[RUB], tried=SearchHistory((known[DEAD], known[RUB])))
+    way = SearchState(fitted(900.0), known[OFF], tried=SearchHistory((known[OFF],)))
+    for best, (first, second) in ((RUB, (end, way)), (RUB, (way, end))):
+        found = stages._better(search, first, second)
+        assert found.best is known[best] and set(found.tried.fitted) == set(known.values())
+
+
+def test_a_share_of_a_budget_is_of_what_is_left() -> None:
+    half_gone = Budget(10.0, begun=time.perf_counter() - 5.0)
+    assert half_gone.share(0.75).seconds == pytest.approx(8.75, abs=0.1)
+    assert Budget(10.0, begun=time.perf_counter() - 50.0).share(0.75).over and not half_gone.share(0.75).over
+    assert Budget().share(0.75) == Budget()
+
+
+def test_what_there_was_no_time_to_judge_is_not_called_rejected(monkeypatch: pytest.MonkeyPatch) -> None:
+    known = Known({(): 900.0, (RUB,): 100.0, (RUB, OFF): 50.0})
+    split = held_out_rejects(monkeypatch, [])
+    end = SearchState(known(), known(RUB, OFF), tried=SearchHistory((known(RUB),)))
+    state = state_of(end, split, OnPaper(known), ended_in="search")
+    after = stages.confirm_as_fitted(state)
+    assert after.end.best.labels == {RUB} and after.rejected == ()
+    assert next((d.decision, d.stage) for d in after.decisions) == (f"{OFF} not judged", "confirmation")
 
 
 @pytest.mark.parametrize("name", [stage.name for stage in stages.ORDER])

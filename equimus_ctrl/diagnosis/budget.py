@@ -59,8 +59,9 @@ class Budget:
             raise BudgetSpent
 
     def share(self, part: float) -> Budget:
-        """The first part of it, of work that others have to follow."""
-        return replace(self, seconds=part * self.seconds)
+        """It until a part of what is left by now is over, of work that other work has to follow."""
+        gone = time.perf_counter() - self.begun
+        return replace(self, seconds=gone + part * max(self.seconds - gone, 0.0))
 
     @contextmanager
     def with_nothing_yet(self) -> Iterator[None]:

@@ -7,7 +7,7 @@ whether they show it, held-out trials whether they improve as is expected. Each 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence, Set
+from collections.abc import Callable, Mapping, Sequence, Set
 from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Literal
@@ -113,14 +113,14 @@ def confirmed(
     """
     if not split.validation or not state.best.hypothesis:
         return state
-    been: set[frozenset[str]] = set()
+    been: dict[frozenset[str], Fitted] = {}
     state = _confirmed(search, state, split, tell, been)
     if search.settings.many_minima and not state.best.hypothesis:
         state = _confirmed(search, _alone(search, state, been), split, tell, been)
     return state
 
 
-def _alone(search: HypothesisMoves, state: SearchState, been: Set[frozenset[str]]) -> SearchState:
+def _alone(search: HypothesisMoves, state: SearchState, been: Mapping[frozenset[str], Fitted]) -> SearchState:
     """A search moved to the best effect alone, of those that were not judged; as it is where none is accepted.
 
     One that began with several laws together may have fitted none by itself, and what several imitate is simple.
@@ -128,17 +128,30 @@ def _alone(search: HypothesisMoves, state: SearchState, been: Set[frozenset[str]
     Args:
         search: whose it is.
         state: without any part.
-        been: labels of what was looked at before.
+        been: what was judged, by its labels.
     """
     options, tried = search.challenge(state.tried, state.best)
-    state = replace(state, tried=tried)
-    for option in sorted(options, key=search.score):
-        if option.labels not in been and search.accepts(state.best, option) and not search.aliased(option):
-            return replace(state, best=option, without=(state.best,), alternatives=((),))
-    return state
+    state, found = replace(state, tried=tried), list[Fitted]()
+    new = [f for f in sorted(options, key=search.score) if not any(_same_effects(f, own) for own in been.values())]
+    for option in new[: search.settings.kept]:
+        best, state = _converged(search, state, option)
+        if search.accepts(state.best, best) and not search.aliased(best):
+            found.append(best)
+    if not found:
+        return state
+    return replace(state, best=min(found, key=search.score), without=(state.best,), alternatives=((),))
 
 
-def _confirmed(search: Search, state: SearchState, split: Split, tell: Tell, been: set[frozenset[str]]) -> SearchState:
+def _converged(search: HypothesisMoves, state: SearchState, fitted: Fitted) -> tuple[Fitted, SearchState]:
+    """A fit converged, and a search that knows it."""
+    known = state.tried.converged
+    best = known.get(fitted) or search.data.converge(fitted)
+    return best, replace(state, tried=replace(state.tried, converged={**known, fitted: best}))
+
+
+def _confirmed(
+    search: Search, state: SearchState, split: Split, tell: Tell, been: dict[frozenset[str], Fitted]
+) -> SearchState:
     """The same of what a search ended with.
 
     Args:
@@ -146,10 +159,10 @@ def _confirmed(search: Search, state: SearchState, split: Split, tell: Tell, bee
         state: its end.
         split: with the validation trials.
         tell: see ``confirmed``.
-        been: gets the labels of what is looked at.
+        been: gets what is judged, by its labels.
     """
     while state.best.hypothesis:
-        been.add(state.best.labels)
+        been[state.best.labels] = state.best
         if (needless := _needless(search, state)) is not None:
             state = search.moved(state, state.without[needless])
             continue
@@ -169,7 +182,7 @@ def _confirmed(search: Search, state: SearchState, split: Split, tell: Tell, bee
             return state
         tell(parts[place], confirmations[place])
         if search.settings.many_minima:
-            state, found = _another(search, state, place, split, been)
+            state, found = _another(search, state, place, split, been.keys())
             if found:
                 continue
         if len(state.best.hypothesis) == 1:
@@ -195,8 +208,6 @@ def confirmed_as_fitted(
         tell: told of each part that is confirmed or rejected.
     """
     rejected, needless = set[str](), set[frozenset[str]]()
-    if len(state.without) < len(state.best.hypothesis):
-        state = _best_known(search, state, rejected, needless)
     while split.validation and state.best.hypothesis:
         if _needless(search, state) is not None:
             needless.add(state.best.labels)
@@ -214,6 +225,13 @@ def confirmed_as_fitted(
         rejected.add(parts[against[0]])
         state = _best_known(search, state, rejected, needless)
     return state
+
+
+def best_as_fitted(search: HypothesisMoves, state: SearchState) -> SearchState:
+    """A search at the best hypothesis that was fitted without each of its parts, too: where it is, or one before."""
+    if len(state.without) == len(state.best.hypothesis):
+        return state
+    return _best_known(search, state, frozenset(), frozenset())
 
 
 def _needless(search: HypothesisMoves, state: SearchState) -> int | None:
@@ -363,8 +381,7 @@ def _another(
         if not state.tried.allows(fitted.candidates) or _same_effects(fitted, rejected):
             continue
         looked_at.add(fitted.labels)
-        best = state.tried.converged.get(fitted) or search.data.converge(fitted)
-        state = replace(state, tried=replace(state.tried, converged={**state.tried.converged, fitted: best}))
+        best, state = _converged(search, state, fitted)
         holdout = HoldoutResiduals(search.data, split, replace(state, best=best))
         for k in range(len(best.hypothesis)):
             without, tried = search.refit(state.tried, best, (*best.hypothesis[:k], *best.hypothesis[k + 1 :]))

@@ -77,7 +77,7 @@ class HypothesisMoves(Extensions):
         for k, part in enumerate(best.hypothesis):
             self.notify(f"without {part.candidate.label}", best.label)
             rest, tried = self.refit(tried, best, best.hypothesis[:k] + best.hypothesis[k + 1 :])
-            self.reached(self.data, replace(state, tried=tried))
+            self.reached(self.data, replace(state, without=(), alternatives=(), tried=tried))
             if not self.accepts(rest, best):
                 return replace(state, best=rest, without=(), alternatives=(), tried=tried)
             without.append(rest)
@@ -118,7 +118,7 @@ class HypothesisMoves(Extensions):
         """A hypothesis fitted until converged, from the model parameters and initial states of another's fit.
 
         Where it diverges from there, it begins at the nominal parameters and the measured initial states. Where it ends
-        above a simpler hypothesis that was fitted, it begins again at that.
+        above a simpler hypothesis that was fitted before, it begins again at that.
 
         Args:
             tried: the history so far.

@@ -218,7 +218,12 @@ class Search(HypothesisMoves):
         forward = replace(forward, state=replace(forward.state, tried=tried), rounds_outdone=rounds_outdone)
         if (stop := self._stop_reason(options, rounds_outdone)) is not None:
             return replace(forward, stop=stop)
-        return self._extended(forward, options, before)
+        search = self if options.outdone is None else self._withholding(forward.last_accepted)
+        return search._extended(forward, options, before)
+
+    def _withholding(self, accepted: SearchState) -> Search:
+        """The same search, of which only what it tries is told on the way: a budget is not to end it elsewhere."""
+        return replace(self, reached=lambda data, way: self.reached(data, replace(accepted, tried=way.tried)))
 
     def _options(self, forward: _Forward) -> tuple[_Options, SearchHistory]:
         """Hypotheses with one more part: the promising ones; all others too where that may help."""

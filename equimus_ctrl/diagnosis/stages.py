@@ -21,7 +21,7 @@ import numpy as np
 
 from equimus_ctrl.diagnosis.alternatives import listed
 from equimus_ctrl.diagnosis.budget import BudgetSpent
-from equimus_ctrl.diagnosis.confirmation import Confirmation, confirmed, confirmed_as_fitted
+from equimus_ctrl.diagnosis.confirmation import Confirmation, best_as_fitted, confirmed, confirmed_as_fitted
 from equimus_ctrl.diagnosis.discretization import step_counted, without_step_error
 from equimus_ctrl.diagnosis.findings import equivalents, named_candidate, named_part, ranking
 from equimus_ctrl.diagnosis.fitting import Data, Fitted
@@ -96,11 +96,19 @@ def carried_out(inputs: DiagnosisInputs) -> State:
     return confirm_as_fitted(state.without_budget()) if unconfirmed else state
 
 
-def _through(inputs: DiagnosisInputs, order: Sequence[Stage]) -> State:
-    """What is known after the refit and some stages."""
+def _through(inputs: DiagnosisInputs, order: Sequence[Stage], whole: bool = False) -> State:
+    """What is known after the refit and some stages.
+
+    Args:
+        inputs: what is asked.
+        order: the stages.
+        whole: whether the answer is of no use where one of them is cut short, so that none follows.
+    """
     state = refit(inputs)
     for stage in order:
         state = stage.after(state)
+        if whole and state.cut_short:
+            break
     return state
 
 
@@ -112,33 +120,58 @@ def find_effects(state: State) -> State:
     (``simulated``): then the search goes on without the error of its step. Of a budget it may take ``SEARCH_BUDGET``;
     where that ends, what the search had come to is kept.
     """
-    whole, reached = state.data.budget, dict[Data, SearchState]()
+    whole, reached = state.data.budget, _Reached()
     state = state.within(whole.share(SEARCH_BUDGET))
-    search, end, made = replace(state.search, reached=reached.__setitem__), state.end, None
+    search, end, made = replace(state.search, reached=reached), state.end, None
     try:
         steps: Iterator[SearchState] = chain([end], _begun_in_torques(search, end))
         while (now := next(steps, None)) is not None:
             end = now
-            reached.clear()
+            reached.forget()
             if made is None and (made := simulated(search, end)) is not None:
                 search, end = made.search, made.end
                 steps = search.steps(end)
+                reached.forget()
         if made is not None:
             made = replace(made, end=end).settled()
             search, end = made.search, made.end
         elif state.short is not None and state.data.far_above_noise(end.best):
             search, end = searched_from_short(search, end, state.inputs.split, state.short)
     except BudgetSpent:
-        end = _better(search, end, reached.get(search.data, end))
+        end = _better(search, end, reached.states.get(search.data, end))
+        reached.over = True
         state = _without_step(replace(state, search=search, end=end), made).within(whole).ended("search")
         return _accepted(_with_fits_without(state))
+    reached.over = True
     return _accepted(_without_step(replace(state, search=search, end=end), made).within(whole))
 
 
+class _Reached:
+    """Where a search has come to on the way, until it is over.
+
+    Attributes:
+        states: by the data that each is fitted to.
+        over: whether nothing is kept any more.
+    """
+
+    def __init__(self) -> None:
+        self.states: dict[Data, SearchState] = {}
+        self.over = False
+
+    def __call__(self, data: Data, state: SearchState) -> None:
+        if not self.over:
+            self.states[data] = state
+
+    def forget(self) -> None:
+        """What was before is of no use, for the search has come farther."""
+        self.states.clear()
+
+
 def _better(search: Search, end: SearchState, way: SearchState) -> SearchState:
-    """The better of two ends, with what was tried on the way: a second search may not have come as far as the first."""
+    """The better of two ends, with what was fitted for both: a second search may not have come as far as the first."""
     best = way if search.score(way.best) < search.score(end.best) else end
-    return replace(best, tried=way.tried)
+    fitted = tuple(dict.fromkeys((*end.tried.fitted, *way.tried.fitted)))
+    return replace(best, tried=replace(best.tried, fitted=fitted))
 
 
 def _with_fits_without(state: State) -> State:
@@ -149,7 +182,9 @@ def _with_fits_without(state: State) -> State:
     try:
         return replace(state, end=state.search.moved(end, end.best))
     except BudgetSpent:
-        return state.ended("search")
+        return replace(state, ended_in="search")
+    except SimulationDiverged:
+        return replace(state, end=best_as_fitted(state.search, end))
 
 
 def _begun_in_torques(search: Search, end: SearchState) -> Iterator[SearchState]:
@@ -197,6 +232,10 @@ def confirm(state: State) -> State:
 def confirm_as_fitted(state: State) -> State:
     """The effects that held-out trials confirm, without any further fit."""
     said: dict[str, Confirmation] = {}
+    begun = best_as_fitted(state.search, state.end)
+    for label in sorted(state.end.best.labels - begun.best.labels):
+        state = state.decided(CONFIRMATION, f"{label} not judged", "the fits without each part were not made in time")
+    state = replace(state, end=begun)
     end = confirmed_as_fitted(state.search, state.end, state.inputs.split, said.__setitem__)
     return _said(state, replace(state, end=end), said, _against(said, end))
 
@@ -218,7 +257,7 @@ def _said(state: State, after: State, said: Mapping[str, Confirmation], against:
     before, end = state.end.best.labels, after.end
     after = _rejections(state, after, CONFIRMATION, against, "not needed beside the others")
     for label in sorted(end.best.labels - before):
-        reason = f"fits in its place, and {said[label]}" if label in said else "fits in its place"
+        reason = f"in the place of what was rejected: {said[label]}" if label in said else "fits in its place"
         after = after.decided(CONFIRMATION, f"{label} accepted", reason)
     for label in sorted((end.best.labels & before) & said.keys()):
         after = after.decided(CONFIRMATION, f"{label} confirmed", str(said[label]))
@@ -422,10 +461,12 @@ def repeat_with_other_holdout(state: State) -> State:
     other = _other_inputs(inputs) if alone else None
     if other is None:
         return state
+    if state.cut_short:
+        raise BudgetSpent
     names = _names(inputs.split), _names(other.split)
     rejected = f"held out instead: {names[1]}; rejected"
     try:
-        second = _through(other, ORDER[: STAGES.index(OTHER_HOLDOUT)])
+        second = _through(other, ORDER[: STAGES.index(OTHER_HOLDOUT)], whole=True)
     except SimulationDiverged:
         return state.decided(OTHER_HOLDOUT, rejected, "the diagnosis without them could not be carried out")
     if second.cut_short:
