@@ -37,9 +37,9 @@ def test_what_was_rejected_is_told_with_its_reason_and_stage(diagnosis: Diagnosi
 @pytest.mark.parametrize(
     ("not_done", "held_out", "said"),
     [
-        (("unexplained", "units"), True, "validation trials confirm it."),
-        (("groups", "confirmation", "units"), True, "validation trials confirm it as fitted by then."),
-        (("groups", "confirmation", "units"), False, "nothing was held out to confirm it."),
+        (("unexplained", "units"), True, "validation trials confirm it"),
+        (("groups", "confirmation", "units"), True, "validation trials confirm it as fitted by then"),
+        (("groups", "confirmation", "units"), False, "nothing was held out to confirm it"),
     ],
 )
 def test_an_ended_diagnosis_says_what_held_out_trials_say(
@@ -48,7 +48,9 @@ def test_an_ended_diagnosis_says_what_held_out_trials_say(
     d = replace(diagnosis, verdict="unfinished", not_done=not_done)
     d = d if held_out else replace(d, validation=())
     text = diagnosis_text.verdict(d)
-    assert text.startswith(f"Unfinished, ended in the stage {not_done[0]}: so far one effect missing") and said in text
+    assert text.startswith(f"Unfinished, ended in the stage {not_done[0]}: so far one effect missing")
+    assert diagnosis.unexplained and f"{said}; some residuals are unexplained." in text
+    assert f"{said}. The notes" in diagnosis_text.verdict(replace(d, unexplained=()))
     nothing = diagnosis_text.verdict(replace(d, findings=()))
     assert "so far no missing effect was found" in nothing and "confirm" not in nothing
 

@@ -143,7 +143,9 @@ def test_what_was_held_out_is_one_sentence(arm: Diagnosis) -> None:
     assert diagnosis_text.held_out(whole) == (
         "Nothing was held out; each trial was simulated as a whole, from an initial state of its own."
     )
-    ends = replace(arm, train=arm.train[::2], validation=arm.train[1:2], test=arm.validation)
+    one_of_each = diagnosis_text.held_out(replace(arm, train=arm.train[::2]))
+    assert "cut into shooting intervals of 490 ms, 2 fitted and 2 held out" in one_of_each
+    ends = replace(arm, train=arm.train[::2], validation=arm.train[1:2], test=arm.validation[:1])
     assert "Held out: t0 from 500 ms on for validation, t2 for the test; each trial" in diagnosis_text.held_out(ends)
 
 

@@ -346,8 +346,12 @@ class Diagnosis:
 
     @property
     def interval(self) -> float | None:
-        """Length of the shooting intervals that are fitted, most of them [s]; None where trials are fitted whole."""
-        if len(self.train) == len({s.recording for s in self.train}):
+        """Length of the shooting intervals that are fitted, most of them [s]; None where trials are simulated whole.
+
+        One interval may be all that is fitted of a recording; those of held-out ones tell then that they are cut.
+        """
+        sets = (self.train, self.validation, self.test)
+        if all(len(own) == len({s.recording for s in own}) for own in sets):
             return None
         return float(np.median([s.trial.sample_times[-1] - s.trial.start for s in self.train]))
 

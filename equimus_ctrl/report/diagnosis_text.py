@@ -144,7 +144,8 @@ def verdict(diagnosis: Diagnosis) -> str:
     if diagnosis.verdict == "unfinished":
         so_far = f"{effects}; {_judged(diagnosis, 'it' if n == 1 else 'them')}" if n else "no missing effect was found"
         ended = f"Unfinished, ended in the stage {diagnosis.not_done[0]}"
-        return f"{ended}: so far {so_far}. The notes say what was not looked at."
+        left = "; some residuals are unexplained" if diagnosis.unexplained else ""
+        return f"{ended}: so far {so_far}{left}. The notes say what was not looked at."
     if diagnosis.verdict == "explained":
         return f"Explained: {effects}."
     if not diagnosis.unexplained:
