@@ -75,6 +75,11 @@ FROM_SHORT = FitSettings(1e-6, 60)
 """Of a search that begins at the fit to short shooting intervals, towards an ill-conditioned minimum."""
 CONVERGED_GAIN = 0.5
 """Gain of 2 log L below which a fit counts as converged."""
+BLIND = 1e-6
+"""Change of the predictions over all that a parameter can be, by derivatives, over the largest of all parameters: below
+it they are even in it there."""
+BESIDE, BESIDE_STEPS = (0.005, 0.02, 0.05), 30
+"""Shares of all that such a parameter can be, by which fits begin beside it, and their steps."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -213,6 +218,9 @@ class Data:
     def converge(self, fitted: Fitted, noise: Noise | None = None, settled: bool = False) -> Fitted:
         """Estimate noise and parameters in turn until the likelihood has converged.
 
+        Where predictions may be even in a parameter (``Effect.even``), it goes on beside where that ends, if that fits
+        better.
+
         Args:
             fitted: where it begins.
             noise: of the first iteration; by default estimated from the residuals of ``fitted``.
@@ -221,6 +229,31 @@ class Data:
         Raises:
             BudgetSpent, SimulationDiverged: as of ``coarse_fit``.
         """
+        best = self._converged(fitted, noise, settled)
+        if (beside := self._beside(best)) is None:
+            return best
+        return min(best, self._converged(beside, None, settled=True), key=lambda f: f.deviance)
+
+    def _beside(self, fitted: Fitted) -> Fitted | None:
+        """A hypothesis fitted from beside a value in which it is even, where that fits better; None where none does."""
+        even = self._effects_own(fitted.hypothesis, lambda candidate, key: key in candidate.effect.even)
+        if not even:
+            return None
+        own, (theta, starts), first = fitted.fit.parameters, fitted.begin, len(self.free.free)
+        seen = np.sqrt(sum((slope**2).sum(axis=(0, 1)) for slope in fitted.fit.jacobians)) * (own.high - own.low)
+        options = [fitted]
+        for k in (k for k in even if seen[k] < BLIND * seen.max()):
+            for share in BESIDE:
+                moved = theta + np.where(np.arange(len(theta)) == k, share * (own.high - own.low), 0.0)
+                hypothesis = refined(fitted.hypothesis, moved[first:])  # steps are in units of where it begins
+                with suppress(SimulationDiverged):  # so it cannot be what happened
+                    begin, labels = [(moved, starts)], fitted.labels
+                    options.append(self.coarse_fit(hypothesis, begin, fitted.noise, BESIDE_STEPS, settled=labels))
+        best = min(options, key=lambda f: f.deviance)
+        return best if fitted.deviance - best.deviance > CONVERGED_GAIN else None
+
+    def _converged(self, fitted: Fitted, noise: Noise | None, settled: bool) -> Fitted:
+        """The same from where it begins, see ``converge``."""
         best, scan = fitted, QUICK_SCAN if settled else FULL_SCAN
         for _ in range(ROUNDS):
             steps = FitSettings(1e-5, 12)
@@ -310,12 +343,16 @@ class Data:
 
     def discontinuous(self, hypothesis: Hypothesis, but: Collection[str] = ()) -> list[int]:
         """Indices in θ of the discontinuous parameters, see ``Effect.discontinuous``, but those of some parts."""
+
+        def scanned(candidate: Candidate, key: str) -> bool:
+            return key in candidate.effect.discontinuous and candidate.label not in but
+
+        return self._effects_own(hypothesis, scanned)
+
+    def _effects_own(self, hypothesis: Hypothesis, which: Callable[[Candidate, str], bool]) -> list[int]:
+        """Indices in θ of parameters of effects, by their candidates and their own names in the effects."""
         added = [(part.candidate, own.key) for part in hypothesis for own in part.candidate.parameters]
-        return [
-            len(self.free.free) + k
-            for k, (candidate, key) in enumerate(added)
-            if key in candidate.effect.discontinuous and candidate.label not in but
-        ]
+        return [len(self.free.free) + k for k, one in enumerate(added) if which(*one)]
 
     def aliased(self, fitted: Fitted, k: int, names: Collection[str] | None = None) -> bool:
         """Whether no direction of a part's parameters is seen beside all others: then it stands for these.

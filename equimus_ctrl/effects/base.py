@@ -36,9 +36,9 @@ class Effect:
     in ``nothing`` the value of its first parameter. ``grows_from`` and ``fades_to`` follow from these.
 
     A class has to say ``name``, ``sits_at`` and ``summary``; its base says ``side``. ``robots``, ``alike``,
-    ``exclusive``, ``delays``, ``discontinuous``, ``special_cases``, ``tends_to``, the sizes of a proof and the methods
-    it says where the default is not right. Of a ``ForceEffect`` ``rubs``, ``loads``, ``scales``, ``own_equations`` and,
-    with dry friction, ``mujoco_flags`` follow from the methods that it has, whatever it says.
+    ``exclusive``, ``delays``, ``discontinuous``, ``even``, ``special_cases``, ``tends_to``, the sizes of a proof and
+    the methods it says where the default is not right. Of a ``ForceEffect`` ``rubs``, ``loads``, ``scales``,
+    ``own_equations`` and, with dry friction, ``mujoco_flags`` follow from the methods that it has, whatever it says.
 
     Attributes:
         location: the joint, actuator or body it sits at.
@@ -61,6 +61,11 @@ class Effect:
 
     The grid is θ·exp(w) for w evenly spaced between ±w₀ (``diagnosis.fitting``): it suits positive parameters alone. A
     lower bound below 0 is refused, and a guess of 0 would stay at 0.
+    """
+    even: ClassVar[tuple[str, ...]] = ()
+    """Parameters in which predictions may be even about a value, where derivatives say nothing of them and fits stay.
+
+    So fits begin beside it, too. Such is where a tether ends across the plane in which an arm moves.
     """
     simulated: ClassVar[bool] = False
     """Whether engines have its kind of law; True of the classes that effects derive from."""
@@ -259,6 +264,9 @@ class Effect:
             what = f"{bare[0]!r} is not" if bare else "it has none"
             raise ConfigError(f"{who}: parameters are made with parameter(unit, low, high, doc), {what}")
         cls._check_discontinuous(who)
+        for key in cls.even:
+            if key not in cls.parameter_info():
+                raise ConfigError(unknown_name("even parameter", key, cls.parameter_info(), who))
         cls._check_sizes(who)
 
     @classmethod

@@ -208,11 +208,13 @@ class TetherWithFreeLength(SpringTether):
     """stiffness·(1 − length/|anchor − p|)·(anchor − p): a spring that is free of force at a length of its own.
 
     From a point p of the robot to a point of the room, pulling where it is longer and pushing where it is shorter, as
-    MuJoCo's tendons do (documentation, *Modeling*, ``springlength``); see ``SpringTether``.
+    MuJoCo's tendons do (documentation, *Modeling*, ``springlength``); see ``SpringTether``. Across a planar arm's plane
+    recordings tell how far the point is, not on which side.
     """
 
     name = "tether_with_free_length"
     summary = "the same with a length at which it is free of force: a coil spring, an elastic cord"
+    even = ("x", "y", "z")
     mjcf_sizes = (*SpringTether.mjcf_sizes, Share("length", 0.1, 0.5, "linear", "none"))
     length: float = parameter("m", 0.0, 10.0, "at which it is free of force")
 
