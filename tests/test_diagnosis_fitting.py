@@ -1,18 +1,24 @@
-"""Fits of hypotheses with discontinuous parameters, on commands that sweep and on commands of few sizes."""
+"""Fits of hypotheses with parameters that derivatives do not lead to: discontinuous ones, and such as are even."""
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
+from coupled_arm import ARM_OF_HINGES, driven
 
 from equimus_ctrl.diagnosis.fitting import PROFILE_FALL, Data, Fitted
 from equimus_ctrl.diagnosis.holdout import split
 from equimus_ctrl.diagnosis.hypothesis import Candidate, Part, default_free_parameters
+from equimus_ctrl.effects.bodies import TetherWithFreeLength
 from equimus_ctrl.effects.valves import Cutoff
 from equimus_ctrl.engines.batch import simulate
 from equimus_ctrl.engines.trials import Trial
 from equimus_ctrl.identification.noise import white_noise
-from equimus_ctrl.identification.simulators import reduced_simulator
+from equimus_ctrl.identification.parameters import free_parameters
+from equimus_ctrl.identification.segments import cut
+from equimus_ctrl.identification.simulators import reduced_simulator, simulator_for
 from equimus_ctrl.models.kinematics import Kinematics
 from equimus_ctrl.models.model import Model, nominal_model
 from equimus_ctrl.types import Array, Recording
@@ -73,3 +79,31 @@ def test_between_two_sizes_of_commands_every_threshold_is_as_good() -> None:
     low, high = data.span(found, *data.discontinuous(found.hypothesis))
     # An end is the first value evaluated beyond either size.
     assert 2.5e3 < low <= 4e3 and 8e3 <= high < 12e3
+
+
+def test_across_a_planar_arms_plane_a_tethers_end_is_looked_for_beside_the_plane() -> None:
+    """Predictions are even in it, so derivatives in the plane say nothing of it, and fits that begin there stay."""
+    rng, arm = np.random.default_rng(5), Model(ARM_OF_HINGES)
+    there = {"stiffness": 25.0, "x": 0.35, "y": 0.3, "z": -0.3, "length": 0.3}
+    tied, asked = Model(ARM_OF_HINGES, (TetherWithFreeLength("tip", **there),)), []
+    for k in range(3):
+        time, commands = driven(rng, 4.0)
+        start = np.broadcast_to(rng.uniform(-0.4, 0.4, 2), commands.shape)
+        asked.append(Recording(f"run_{k}", time, commands, start, arm.robot.actuator_names, arm.robot.joint_names))
+    segments, simulator = cut(tied, asked), simulator_for(tied)
+    moved = [p.position[0] for p in simulator([tied], segments, [s.start[None] for s in segments])]
+    shown = [replace(r, position=q + rng.normal(0, 5e-4, q.shape)) for r, q in zip(asked, moved, strict=True)]
+
+    free = free_parameters(arm, ["upper.mass", "fore.mass"])
+    data = Data(free, cut(arm, shown), simulator_for(arm))
+    in_the_plane = {**there, "y": 1e-9, "length": 0.1}
+    part = Part(Candidate(TetherWithFreeLength, ("tip",), (in_the_plane,)), in_the_plane)
+    still = white_noise([5e-4 * rng.normal(size=s.measured.shape) for s in data.segments])
+    begun = data.coarse_fit(
+        (part,), [(data.theta_of(free.start, (part,)), [s.start for s in data.segments])], still, 30
+    )
+    assert begun.hypothesis[0].values["y"] == pytest.approx(0.0, abs=1e-6)
+    found = data.converge(begun)
+    values = found.hypothesis[0].values
+    assert begun.deviance - found.deviance > 100 and abs(values["y"]) == pytest.approx(0.3, rel=0.1)
+    assert values["length"] == pytest.approx(0.3, rel=0.15) and values["stiffness"] == pytest.approx(25.0, rel=0.1)

@@ -284,6 +284,14 @@ def test_a_discontinuous_parameter_is_one_of_the_effects_and_positive() -> None:
     with pytest.raises(ConfigError, match="there is no discontinuous parameter 'lewel'; did you mean"):
         register(Other)
 
+    @dataclass(frozen=True)
+    class Even(ShapingEffect):
+        name, summary, order, even = "even", "commands below a level are lost", 7, ("lewel",)
+        level: float = parameter("Pa", 0.0, 1e4, "of a command")
+
+    with pytest.raises(ConfigError, match="there is no even parameter 'lewel'; did you mean"):
+        register(Even)
+
 
 def test_the_documents_show_the_example() -> None:
     assert math.isclose(float(ATTACHED.rpartition("=")[2]), 0.02)

@@ -198,6 +198,9 @@ _ROWS: Mapping[str, tuple[Row, ...]] = {
         ("ROUNDS", 4, "method", "convention", "how often noise and parameters are estimated in turn"),
         ("GRID_NARROWER", 5.0, "looked at", "convention", "grids over parameters in which predictions jump"),
         ("COARSE_TOLERANCE", 10, "looked at", "convention", "where quick fits with coarse derivatives end"),
+        ("BLIND", 1e-6, "looked at", "theory", "share of a change below which predictions are even in a parameter"),
+        ("BESIDE", (0.005, 0.02, 0.05), "looked at", "convention", "how far beside that fits begin, of its bounds"),
+        ("BESIDE_STEPS", 30, "looked at", "convention", "steps of these fits"),
     ),
     "diagnosis.curved_intervals": (
         ("CURVED", 0.2, "method", "convention", "departure of a rise's root from a straight fit's, before refits"),
