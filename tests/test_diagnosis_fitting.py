@@ -81,7 +81,10 @@ def test_between_two_sizes_of_commands_every_threshold_is_as_good() -> None:
     assert 2.5e3 < low <= 4e3 and 8e3 <= high < 12e3
 
 
-def test_across_a_planar_arms_plane_a_tethers_end_is_looked_for_beside_the_plane() -> None:
+@pytest.mark.parametrize("most", [10.0, 0.05], ids=["to one side", "where a bound forbids it to the other"])
+def test_across_a_planar_arms_plane_a_tethers_end_is_looked_for_beside_the_plane(
+    most: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Predictions are even in it, so derivatives in the plane say nothing of it, and fits that begin there stay."""
     rng, arm = np.random.default_rng(5), Model(ARM_OF_HINGES)
     there = {"stiffness": 25.0, "x": 0.35, "y": 0.3, "z": -0.3, "length": 0.3}
@@ -103,7 +106,13 @@ def test_across_a_planar_arms_plane_a_tethers_end_is_looked_for_beside_the_plane
         (part,), [(data.theta_of(free.start, (part,)), [s.start for s in data.segments])], still, 30
     )
     assert begun.hypothesis[0].values["y"] == pytest.approx(0.0, abs=1e-6)
+    if most < 1.0:
+        info = TetherWithFreeLength.parameter_info()
+        bounds = {**info, "y": {**info["y"], "high": most}}
+        monkeypatch.setattr(TetherWithFreeLength, "parameter_info", classmethod(lambda cls: bounds))
+        begun = data.coarse_fit(begun.hypothesis, [begun.begin], still, 5)
     found = data.converge(begun)
     values = found.hypothesis[0].values
     assert begun.deviance - found.deviance > 100 and abs(values["y"]) == pytest.approx(0.3, rel=0.1)
+    assert values["y"] <= most
     assert values["length"] == pytest.approx(0.3, rel=0.15) and values["stiffness"] == pytest.approx(25.0, rel=0.1)

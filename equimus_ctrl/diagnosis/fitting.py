@@ -244,7 +244,10 @@ class Data:
         options = [fitted]
         for k in (k for k in even if seen[k] < BLIND * seen.max()):
             for share in BESIDE:
-                moved = theta + np.where(np.arange(len(theta)) == k, share * (own.high - own.low), 0.0)
+                step = share * (own.high[k] - own.low[k])
+                moved = np.where(np.arange(len(theta)) == k, theta + step, theta)
+                if moved[k] > own.high[k]:
+                    moved[k] = theta[k] - step
                 hypothesis = refined(fitted.hypothesis, moved[first:])  # steps are in units of where it begins
                 with suppress(SimulationDiverged):  # so it cannot be what happened
                     begin, labels = [(moved, starts)], fitted.labels
