@@ -65,6 +65,29 @@ def test_windows_of_one_recording_have_its_notes() -> None:
     assert [dict(s.trial.settings) for s in segments] == [{"arm.mass": 1.7}] * 4 + [{}] * 4
 
 
+MOVING = {"settled": "no"}
+
+
+@pytest.mark.parametrize(
+    ("shoot", "window", "begins"),
+    [(0.5, None, 0.1), (None, None, 0.4), (0.5, (0.05, 1.05), 0.1), (0.5, (0.3, 1.3), 0.3), (5.0, (0.0, 1.0), 0.2)],
+)
+def test_a_recording_that_begins_in_motion_is_compared_once_its_commands_have_arrived(
+    shoot: float | None, window: tuple[float, float] | None, begins: float
+) -> None:
+    """Commands from before it, which nobody knows, arrive within a fifth of an interval: the longest delay."""
+    moving = recording(MOVING)
+    segments = cut(Model(PENDULUM), [moving], window=window, shoot=shoot)
+    assert segments[0].trial.start == segments[0].trial.sample_times[0] == pytest.approx(begins)
+    assert segments[0].trial.times[0] == 0.0, "its first commands are known, and count"
+    np.testing.assert_array_equal(segments[0].measured[0], moving.position[round(100 * begins)])
+    (first, *_), (known, *_) = (
+        cut(Model(PENDULUM), [own], window=window, shoot=shoot)
+        for own in (recording(), replace(moving, before=np.zeros(1)))
+    )
+    assert first.trial.start == known.trial.start == (window or (0.0,))[0]
+
+
 WRONG_NOTES = [
     ({"set.arm.mas": "1"}, "note set.arm.mas: there is no parameter 'arm.mas'; did you mean 'arm.mass'?"),
     ({"times.arm.mas": "1"}, "note times.arm.mas: there is no parameter 'arm.mas'; did you mean 'arm.mass'?"),

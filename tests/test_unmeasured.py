@@ -64,7 +64,8 @@ BEGIN = np.array([0.0, 0.4, 0.1, -1.0])
 
 def swung(noise: float = 0.0, name: str = "swung", begin: Array = BEGIN, seed: int = 0) -> Recording:
     shown = stepped(SWING, begin, PUSH, 5e-5)[:, :1] + np.random.default_rng(seed).normal(0, noise, (len(TIMES), 1))
-    return Recording(name, TIMES, PUSH[:, None], shown, ("push",), ("rail",), notes={"settled": "no"})
+    moving = {"settled": "no"}
+    return Recording(name, TIMES, PUSH[:, None], shown, ("push",), ("rail",), before=PUSH[:1], notes=moving)
 
 
 def model_of(tmp_path: Path, xml: str, joint: str) -> Model:

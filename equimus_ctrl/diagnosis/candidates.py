@@ -12,12 +12,10 @@ from equimus_ctrl.diagnosis.hypothesis import Candidate, OwnParameter
 from equimus_ctrl.diagnosis.place_excitation import excitation_of
 from equimus_ctrl.effects.base import REGISTRY, Effect
 from equimus_ctrl.errors import ConfigError
-from equimus_ctrl.identification.segments import Segment
+from equimus_ctrl.identification.segments import DELAY_SHARE, Segment
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.robots.base import Robot
 
-DELAY_SHARE = 0.2
-"""Longest delay or lag that is looked for, as a share of the longest shooting interval."""
 BETWEEN_ROWS = 0.5
 """Shortest one where commands go along lines, as a share of the time between rows: a command that is held from row to
 row in place of that comes so much later in the mean, and recordings do not show what it does between them."""

@@ -185,6 +185,7 @@ _ROWS: Mapping[str, tuple[Row, ...]] = {
         ("LEAST_TRUST", 1e-4, "method", "convention", "least weight of how far a start is from the measured one"),
         ("INSTANTS", 200, "method", "convention", "instants that show how well initial states are read off"),
         ("LEAST_SAMPLES", 10, "method", "convention", "of a segment"),
+        ("DELAY_SHARE", 0.2, "looked at", "convention", "longest delay, a bound: at it an effect is not named"),
     ),
     "diagnosis.fitting": (
         (
@@ -211,10 +212,7 @@ _ROWS: Mapping[str, tuple[Row, ...]] = {
         ("LOOKS", 10, "method", "convention", "refits for one end"),
     ),
     # --- what is looked for -------------------------------------------------------------------------------------------
-    "diagnosis.candidates": (
-        ("DELAY_SHARE", 0.2, "looked at", "convention", "longest delay, a bound: at it an effect is not named"),
-        ("BETWEEN_ROWS", 0.5, "looked at", "theory", "shortest delay, a bound too"),
-    ),
+    "diagnosis.candidates": (("BETWEEN_ROWS", 0.5, "looked at", "theory", "shortest delay, a bound too"),),
     "effects.bodies": (
         ("HIGHEST", 0.1, "evidence", "convention", "a surface higher than so is none: it is rejected beside residuals"),
     ),

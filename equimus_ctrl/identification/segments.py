@@ -32,6 +32,8 @@ from equimus_ctrl.recordings.smoothing import RecordedMotion, recorded_motion
 from equimus_ctrl.types import Array, Recording
 
 LEAST_SAMPLES = 10
+DELAY_SHARE = 0.2
+"""Longest delay or lag that is looked for, as a share of the longest shooting interval."""
 INSTANTS = 200
 """At most so many instants of a recording show how well initial states can be read off it."""
 WIDE = 3.0
@@ -222,6 +224,8 @@ def _shooting_intervals(
     """What is compared cut into intervals of about a length [s], each from its own free positions and velocities."""
     time = recording.time
     low, high = time[inside][0], time[inside][-1]
+    inside = inside & (time >= time[0] + unknown_for(model, recording, min(length, high - low)))
+    low = time[inside][0]
     edges = np.linspace(low, high, max(round((high - low) / length), 1) + 1)
     span = slope_span(model, recording)
     trust = None if model.robot.traits.smooth_motion else start_trust(recording, span)
@@ -273,6 +277,21 @@ def _shooting_intervals(
             f"{2 * LEAST_SAMPLES * np.median(np.diff(time)):.2g} s"
         )
     return segments
+
+
+def unknown_for(model: Model, recording: Recording, length: float) -> float:
+    """How long after its first row a recording may still show commands from before it, which nobody knows [s].
+
+    A robot that was in motion at the first row (``settled = no``) had other commands before: what a delay or a lag
+    brings of them it does within the longest one that is looked for. 0 where they are known, or the robot had settled.
+
+    Args:
+        model: of the robot.
+        recording: of it.
+        length: of the shooting intervals into which it is cut [s].
+    """
+    known = recording.notes.get("settled") != "no" or recording.before is not None
+    return 0.0 if known or model.robot.traits.starts_at_rest else DELAY_SHARE * length
 
 
 def led_along(segments: Sequence[Segment], residuals: Sequence[Array]) -> list[Segment]:
