@@ -138,7 +138,7 @@ _ROWS: Mapping[str, tuple[Row, ...]] = {
         ("ONCE", 1.5, "method", "convention", "length of short intervals, in crossings of a joint's range"),
         ("FORGOTTEN", 0.2, "method", "convention", "share of a change of the start that is left, at most"),
     ),
-    "diagnosis.stages": (
+    "diagnosis.search_stage": (
         ("SEARCH_BUDGET", 0.75, "looked at", "convention", "share of a budget after which a search ends"),
     ),
     # --- noise, fits and their intervals ------------------------------------------------------------------------------
