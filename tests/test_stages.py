@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from search_on_paper import DEAD, OFF, POOL, RUB, STICK, VALUES, Known, OnPaper, ended, fitted, held_out_rejects
 
-from equimus_ctrl.diagnosis import reporting, stages
+from equimus_ctrl.diagnosis import reporting, search_stage, stages
 from equimus_ctrl.diagnosis.budget import Budget, BudgetSpent
 from equimus_ctrl.diagnosis.confirmation import Confirmation
 from equimus_ctrl.diagnosis.fitting import Data, Fitted
@@ -194,12 +194,12 @@ class CutShort(Search):
 def test_what_a_search_had_come_to_is_judged_with_the_rest_of_the_budget(
     over: bool, second: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(stages, "simulated", lambda search, end: None)
+    monkeypatch.setattr(search_stage, "simulated", lambda search, end: None)
     given = inputs(Split((), ()))
     given = replace(given, data=replace(given.data, budget=Budget(10.0, lambda: over, time.perf_counter())))
     search = CutShort(given.data, list(POOL.values()), SearchSettings(), second=second)
     state = State(given, search, SearchState(search.known(), search.known()), None, ())
-    after = stages.find_effects(state)
+    after = search_stage.find_effects(state)
     assert after.end.best is search.known(RUB) and after.cut_short == ("search",)
     assert after.data.budget.seconds == 10.0, "the rest may take the rest"
     assert after.ended_in == ("search" if over else "")
@@ -215,7 +215,7 @@ def test_of_two_ends_the_better_one_is_kept_with_the_fits_of_both() -> None:
     end = SearchState(fitted(900.0), known[RUB], tried=SearchHistory((known[DEAD], known[RUB])))
     way = SearchState(fitted(900.0), known[OFF], tried=SearchHistory((known[OFF],)))
     for best, (first, second) in ((RUB, (end, way)), (RUB, (way, end))):
-        found = stages._better(search, first, second)
+        found = search_stage._better(search, first, second)
         assert found.best is known[best] and set(found.tried.fitted) == set(known.values())
 
 

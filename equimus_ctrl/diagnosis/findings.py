@@ -30,6 +30,7 @@ from equimus_ctrl.diagnosis.results import (
 from equimus_ctrl.diagnosis.screening import ESTIMATED, Screened
 from equimus_ctrl.diagnosis.search import Search
 from equimus_ctrl.diagnosis.search_state import SearchHistory, SearchState
+from equimus_ctrl.identification.fit import FitSettings
 from equimus_ctrl.identification.parameters import in_group, place_unit
 from equimus_ctrl.identification.results import zeros_sentence
 from equimus_ctrl.identification.segments import groups_of
@@ -241,9 +242,9 @@ def _equivalent(
 
     What a parameter does that others do as well makes a law no richer, see ``Data.dimensions``: a spring to a point of
     the room has four, of which one hinge shows one. A law with more dimensions reproduces anything simpler. It is
-    listed where it fits better than chance would let it, and Schwarz's cost of its dimensions does not decide; or where
-    held-out trials say nothing of it, see ``SearchState.undecided``. Close ones are compared with short steps: where
-    commands jump, discretisation errors can separate equivalent effects.
+    listed where it fits better than chance would let it, with the confidence of all intervals, and Schwarz's cost of
+    its dimensions does not decide; or where held-out trials say nothing of it, see ``SearchState.undecided``. Close
+    ones are compared with short steps: where commands jump, discretisation errors can separate equivalent effects.
     """
     thresholds, gain = search.data.thresholds, end.without[k].deviance - end.best.deviance
 
@@ -269,8 +270,7 @@ def _equivalent(
         return max(seen(own if beyond_chance(alternative, 1) else room) - room, 0)
 
     def beyond_chance(alternative: Fitted, dimensions: int) -> bool:
-        better = end.best.deviance - alternative.deviance
-        return thresholds.decides(lambda t: better > float(chdtri(dimensions, t.significance)))
+        return end.best.deviance - alternative.deviance > float(chdtri(dimensions, 1 - FitSettings().confidence))
 
     label = end.best.hypothesis[k].candidate.label
     others, tried = _undecided(search, end, k)

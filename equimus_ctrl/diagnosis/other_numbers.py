@@ -5,7 +5,8 @@ tests/test_policy.py holds this list to the code: each value is that of its modu
 number with a name in capitals that is not here, but for grids of values and what divides the progress that is told.
 
 Two have no name there. ``FitSettings.confidence``, 0.95, is that of all intervals; where minima are many, an effect
-whose sizes may be nothing by it is not taken (``Data.may_be_nothing``). ``Effect.degenerate`` compares with 1: a stop
+whose sizes may be nothing by it is not taken (``Data.may_be_nothing``), and a richer law is listed beside a simpler one
+that it fits better than by it (``findings``). ``Effect.degenerate`` compares with 1: a stop
 softer than what holds its joint, and less than one wave of a ripple, are rejected beside unexplained residuals. What
 differs between robots, such as how well a leg's damping is known, stands in ``RobotTraits``.
 """

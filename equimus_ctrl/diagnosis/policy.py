@@ -33,11 +33,10 @@ class Thresholds:
         1e-3,
         "",
         "probability of accepting any effect where none is missing, over all candidates (false alarm): by −2Δln L, by "
-        "how its gain stands out from the scatter of blocks, and of what a search in the torque domain begins with; "
-        "and that a law of more dimensions gains by chance what one gains that is listed",
+        "how its gain stands out from the scatter of blocks, and of what a search in the torque domain begins with",
         "theory",
         "likelihood-ratio test, Wilks (1938), with Bonferroni's correction for the number of candidates",
-        where="block_scatter findings scoring simulated torque_start",
+        where="block_scatter scoring simulated torque_start",
     )
     simulation_error: float = decided_by(
         1.5e-3,
