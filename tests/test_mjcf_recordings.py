@@ -12,6 +12,7 @@ from mjcf_models import CRANE, PENDULUM, refusal
 from scipy.integrate import solve_ivp
 
 from equimus_ctrl import workflow
+from equimus_ctrl.diagnosis import preflight
 from equimus_ctrl.diagnosis.holdout import check_settings, split
 from equimus_ctrl.effects import ViscousFriction
 from equimus_ctrl.engines.mjcf import simulate_mjcf
@@ -86,6 +87,17 @@ def test_a_recording_that_begins_in_motion_is_compared_once_its_commands_have_ar
         for own in (recording(), replace(moving, before=np.zeros(1)))
     )
     assert first.trial.start == known.trial.start == (window or (0.0,))[0]
+
+
+def test_what_is_not_compared_for_that_is_told() -> None:
+    trials = [recording(MOVING, f"trial {k}") for k in range(3)] + [recording(name="at rest")]
+    parts = split(Model(PENDULUM), trials, shoot=0.5)
+    (told,) = preflight.left_out_at_first(trials, parts)
+    assert told.startswith("trial 0, trial 1, trial 2: in motion at the first row (settled = no), and what was")
+    assert "so the first 0.1 s are not compared" in told and "at rest" not in told
+    assert preflight.left_out_at_first(trials[3:], parts) == []
+    later = split(Model(PENDULUM), trials, shoot=0.5, window=(0.3, 1.9))
+    assert preflight.left_out_at_first(trials, later, (0.3, 1.9)) == [], "the window leaves it out"
 
 
 WRONG_NOTES = [

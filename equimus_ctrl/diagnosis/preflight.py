@@ -15,6 +15,7 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment
 
 from equimus_ctrl.diagnosis.conventions import ALIKE, mistaken
+from equimus_ctrl.diagnosis.holdout import Split
 from equimus_ctrl.engines.mjcf_inverse import (
     MeasuredMotion,
     inverse_dynamics,
@@ -26,6 +27,7 @@ from equimus_ctrl.engines.trials import Trial
 from equimus_ctrl.errors import ConfigError
 from equimus_ctrl.identification.channels import channels_of, require_alike
 from equimus_ctrl.identification.noise import noise_of_differences, resolution
+from equimus_ctrl.identification.segments import begins_in_motion
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.robots.base import Robot
 from equimus_ctrl.robots.mjcf.actuators import moments_at
@@ -92,6 +94,34 @@ def coarse_steps(robot: Robot, recordings: Sequence[Recording]) -> list[str]:
         if step >= COARSE * noise[j].sigma:
             found.setdefault(_in_words(step, robot.slides(name)), []).append(f"pos.{name}")
     return [f"{', '.join(names)}: {words}" for words, names in found.items()]
+
+
+def left_out_at_first(
+    recordings: Sequence[Recording], parts: Split, window: tuple[float, float] | None = None
+) -> list[str]:
+    """A sentence on recordings whose first moments are not compared, see ``segments.unknown_for``.
+
+    Args:
+        recordings: that were cut.
+        parts: what they were cut into.
+        window: (from, to) of each that counts at all [s].
+    """
+    begun, left = dict[str, float](), dict[str, float]()
+    for segment in (*parts.train, *parts.validation, *parts.test):
+        name = segment.recording_name
+        begun[name] = min(segment.trial.start, begun.get(name, math.inf))
+    for r in filter(begins_in_motion, recordings):
+        counted = r.time if window is None else r.time[r.time >= window[0]]
+        if begun.get(r.name, 0.0) > counted[0]:
+            left[r.name] = begun[r.name] - float(r.time[0])
+    if not left:
+        return []
+    least, most = (f"{of(left.values()):.2g}" for of in (min, max))
+    span = least if least == most else f"{least} to {most}"
+    return [
+        f"{', '.join(left)}: in motion at the first row (settled = no), and what was commanded before is not known, so "
+        f"the first {span} s are not compared; before.cmd.<actuator> in the notes says it"
+    ]
 
 
 def other_joints(robot: Robot, recordings: Sequence[Recording]) -> list[str]:

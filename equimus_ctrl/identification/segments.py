@@ -290,8 +290,12 @@ def unknown_for(model: Model, recording: Recording, length: float) -> float:
         recording: of it.
         length: of the shooting intervals into which it is cut [s].
     """
-    known = recording.notes.get("settled") != "no" or recording.before is not None
-    return 0.0 if known or model.robot.traits.starts_at_rest else DELAY_SHARE * length
+    return DELAY_SHARE * length if begins_in_motion(recording) and not model.robot.traits.starts_at_rest else 0.0
+
+
+def begins_in_motion(recording: Recording) -> bool:
+    """Whether a robot moved at the first row, and nobody knows what was commanded before."""
+    return recording.notes.get("settled") == "no" and recording.before is None
 
 
 def led_along(segments: Sequence[Segment], residuals: Sequence[Array]) -> list[Segment]:

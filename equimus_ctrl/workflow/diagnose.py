@@ -159,7 +159,11 @@ def _prepared(
     check_fitted(groups, parts.train)
     search = SearchSettings(most_parts=options.most)
     told_before = (*preflight.other_joints(model.robot, trials), *preflight.coarse_steps(model.robot, trials))
-    notes = (*told_before, *((told(gains),) if gains else ()))
+    notes = (
+        *told_before,
+        *preflight.left_out_at_first(trials, parts, options.window),
+        *((told(gains),) if gains else ()),
+    )
     settings = DiagnosisSettings(
         search, options.threads, options.engine, tuple(options.exclude), options.budget, notes=notes
     )
