@@ -89,6 +89,11 @@ def test_a_recording_that_begins_in_motion_is_compared_once_its_commands_have_ar
     assert first.trial.start == known.trial.start == (window or (0.0,))[0]
 
 
+def test_a_recording_of_which_too_little_is_left_is_told_with_how_long_it_is() -> None:
+    told = refusal(lambda: cut(Model(PENDULUM), [recording(MOVING)], window=(0.0, 0.1)))
+    assert told == "trial: no shooting interval of 0.1 s holds 10 samples; expected at least 0.2 s"
+
+
 def test_what_is_not_compared_for_that_is_told() -> None:
     trials = [recording(MOVING, f"trial {k}") for k in range(3)] + [recording(name="at rest")]
     parts = split(Model(PENDULUM), trials, shoot=0.5)

@@ -224,7 +224,8 @@ def _shooting_intervals(
     """What is compared cut into intervals of about a length [s], each from its own free positions and velocities."""
     time = recording.time
     low, high = time[inside][0], time[inside][-1]
-    inside = inside & (time >= time[0] + unknown_for(model, recording, min(length, high - low)))
+    length = min(length, float(high - low))
+    inside = inside & (time >= time[0] + unknown_for(model, recording, length))
     low = time[inside][0]
     edges = np.linspace(low, high, max(round((high - low) / length), 1) + 1)
     span = slope_span(model, recording)
