@@ -353,3 +353,14 @@ def test_rows_are_dropped_from_the_file_too(tmp_path: Path) -> None:
     again = presets.JsonLines(tmp_path / "j.jsonl", {"key": "a"})
     assert again.rows == [{"k": 0}, {"k": 9}]
     again.close()
+
+
+def test_the_package_carries_every_preset() -> None:
+    root = Path(presets.__file__).resolve().parents[1]
+    if not (root / "pyproject.toml").is_file():
+        pytest.skip("the package is installed; there is no checkout whose build file could be read")
+    build = tomllib.loads((root / "pyproject.toml").read_text())["tool"]["hatch"]["build"]["targets"]["wheel"]
+    carried = build["force-include"]
+    files = {f"{kind}/{path.name}" for kind in presets.KINDS for path in (root / kind).iterdir() if path.is_file()}
+    left = {file for file in files if file not in carried and file.partition("/")[0] not in carried}
+    assert not left, f"installed packages lack {sorted(left)}"
