@@ -35,6 +35,7 @@ from equimus_ctrl.diagnosis.hypothesis import default_free_parameters
 from equimus_ctrl.diagnosis.results import STATES
 from equimus_ctrl.engines.rest import rest_pose
 from equimus_ctrl.errors import EquimusError, SimulationDiverged
+from equimus_ctrl.loop import run
 from equimus_ctrl.models.kinematics import Kinematics
 from equimus_ctrl.models.model import Model, nominal_model
 from equimus_ctrl.plants.mujoco_plant import MujocoPlant
@@ -44,7 +45,6 @@ from equimus_ctrl.proof.store import Request, make_case, open_truth
 from equimus_ctrl.recordings.sets import read_set
 from equimus_ctrl.report import style
 from equimus_ctrl.scenarios.references import SampledReference, foot_path
-from equimus_ctrl.simulate import run
 from equimus_ctrl.types import Array, Observation, Reference, Start
 from equimus_ctrl.workflow import load_model, save_model, tune_pid
 

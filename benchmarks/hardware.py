@@ -35,10 +35,10 @@ import numpy as np
 from rich.progress import track
 
 from equimus_ctrl.errors import HardwareFault, NotAvailable
+from equimus_ctrl.loop import run
 from equimus_ctrl.models.model import nominal_model
 from equimus_ctrl.plants.hardware.plant import HardwarePlant
 from equimus_ctrl.recordings import read
-from equimus_ctrl.simulate import run
 from equimus_ctrl.workflow import load_controller, load_scenario
 
 MODEL, LOW, SLEW = nominal_model(), np.array([5e3, 3e3]), 1e6

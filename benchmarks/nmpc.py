@@ -32,6 +32,7 @@ from equimus_ctrl.controllers.lqr import LqrController, LqrSettings, Schedule
 from equimus_ctrl.controllers.nmpc import NmpcController, NmpcSettings
 from equimus_ctrl.controllers.preview import Preview
 from equimus_ctrl.effects import Effect, FirstOrderLag, TransportDelay
+from equimus_ctrl.loop import run
 from equimus_ctrl.models.augmented import augmented_model
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.models.prediction import prediction
@@ -40,7 +41,6 @@ from equimus_ctrl.predictive.costs import Wanted, Weights
 from equimus_ctrl.predictive.problem import Problem
 from equimus_ctrl.robots.elastic.leg import nominal_leg
 from equimus_ctrl.robots.elastic.morphology import pack, structure
-from equimus_ctrl.simulate import run
 from equimus_ctrl.types import Array, Controller, Reference
 from equimus_ctrl.workflow import load_controller, load_scenario
 

@@ -25,6 +25,7 @@ import numpy as np
 from equimus_ctrl.controllers.sampling import SamplingController
 from equimus_ctrl.controllers.sampling_settings import SamplingSettings
 from equimus_ctrl.effects import Effect, FirstOrderLag
+from equimus_ctrl.loop import run
 from equimus_ctrl.models.kinematics import Kinematics
 from equimus_ctrl.models.mjcf import compile_model, place
 from equimus_ctrl.models.model import Model
@@ -33,7 +34,6 @@ from equimus_ctrl.predictive.costs import Wanted, Weights, costs
 from equimus_ctrl.predictive.rollouts import MUJOCO_SETTINGS, make_rollouts
 from equimus_ctrl.predictive.sampling import METHODS
 from equimus_ctrl.robots.elastic.leg import nominal_leg
-from equimus_ctrl.simulate import run
 from equimus_ctrl.types import Array, Reference
 from equimus_ctrl.workflow import load_scenario
 

@@ -126,7 +126,7 @@ from .scenarios.scenario import (
     ScenarioContext as ScenarioContext,
 )
 from .scenarios.scoring import Score as Score, score_run as score_run
-from .simulate import run as run
+from .loop import run as run
 from .types import (
     Controller as Controller,
     Observation as Observation,

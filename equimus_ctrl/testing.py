@@ -12,10 +12,10 @@ import numpy as np
 
 from equimus_ctrl.controllers.custom import as_controller
 from equimus_ctrl.errors import ConfigError, ControllerError, EquimusError
+from equimus_ctrl.loop import checked_command
 from equimus_ctrl.models.model import nominal_model
 from equimus_ctrl.plants.mujoco_plant import MujocoPlant
 from equimus_ctrl.scenarios.references import HoldReference, SampledReference
-from equimus_ctrl.simulate import checked_command
 from equimus_ctrl.types import Array, Controller, Observation, Plant, Reference
 
 STEPS = 60

@@ -19,6 +19,7 @@ from equimus_ctrl.controllers.placement import placed_gains
 from equimus_ctrl.controllers.registry import compared_controllers
 from equimus_ctrl.effects import CoulombFriction, PayloadMass, SensorDelay, TransportDelay
 from equimus_ctrl.errors import ControllerError
+from equimus_ctrl.loop import run
 from equimus_ctrl.models.dynamics import Dynamics
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.plants.mujoco_plant import MujocoPlant, make_spec
@@ -28,7 +29,6 @@ from equimus_ctrl.robots.elastic.leg import nominal_leg
 from equimus_ctrl.robots.mjcf.robot import MjcfRobot
 from equimus_ctrl.scenarios.references import FunctionReference, HoldReference
 from equimus_ctrl.scenarios.scoring import StepFigures
-from equimus_ctrl.simulate import run
 from equimus_ctrl.types import Start
 
 FINGER = Path(__file__).parents[1] / "docs" / "examples" / "finger.toml"

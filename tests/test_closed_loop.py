@@ -29,8 +29,8 @@ from equimus_ctrl.effects.base import REGISTRY
 from equimus_ctrl.effects.sensors import recall, sample
 from equimus_ctrl.effects.shaping import shape_command
 from equimus_ctrl.effects.valves import shaped_commands, shaping_laws
+from equimus_ctrl.loop import run
 from equimus_ctrl.robots.elastic.morphology import Phase
-from equimus_ctrl.simulate import run
 from equimus_ctrl.tuning.autotune import cross_check
 from equimus_ctrl.tuning.closed_loop import Loop, track
 from equimus_ctrl.tuning.ensemble import Member, make_ensemble

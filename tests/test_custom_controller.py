@@ -12,7 +12,7 @@ import pytest
 import equimus_ctrl as eq
 from equimus_ctrl import presets, workflow
 from equimus_ctrl.controllers.custom import FunctionController, as_controller
-from equimus_ctrl.simulate import checked_command
+from equimus_ctrl.loop import checked_command
 
 POSE = [1.4, 0.5]
 

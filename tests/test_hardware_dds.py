@@ -29,6 +29,7 @@ from equimus_ctrl.cli.main import main
 from equimus_ctrl.effects.valves import TransportDelay
 from equimus_ctrl.emulation.emulator import TICK
 from equimus_ctrl.errors import ConfigError, HardwareFault, NotAvailable
+from equimus_ctrl.loop import run
 from equimus_ctrl.models.model import nominal_model
 from equimus_ctrl.plants.hardware import messages
 from equimus_ctrl.plants.hardware.dds import DdsDevice, DdsHost
@@ -38,7 +39,6 @@ from equimus_ctrl.plants.hardware.transports import transport_entry
 from equimus_ctrl.plants.mujoco_plant import MujocoPlant
 from equimus_ctrl.recordings import read
 from equimus_ctrl.scenarios.references import FunctionReference
-from equimus_ctrl.simulate import run
 from equimus_ctrl.types import Array
 from equimus_ctrl.workflow import load_controller, load_scenario
 

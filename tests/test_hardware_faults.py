@@ -19,10 +19,10 @@ import pytest
 from hardware_rig import DT, LOW, REST, Controller, MemoryWire, after, driven, plant_on, still
 
 from equimus_ctrl.errors import ControllerError, HardwareFault
+from equimus_ctrl.loop import run
 from equimus_ctrl.plants.hardware.transport import Sample
 from equimus_ctrl.recordings import read
 from equimus_ctrl.scenarios.references import HoldReference
-from equimus_ctrl.simulate import run
 
 pytestmark = pytest.mark.real_time
 

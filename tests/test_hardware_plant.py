@@ -15,11 +15,11 @@ from hardware_rig import DT, LOW, REST, Controller, MemoryWire, driven, plant_on
 
 from equimus_ctrl.controllers.open_loop import OpenLoopController
 from equimus_ctrl.errors import ConfigError, HardwareFault, NotAvailable, RecordingError
+from equimus_ctrl.loop import run
 from equimus_ctrl.plants.hardware.settings import Calibration, Channel
 from equimus_ctrl.plants.hardware.transport import Sample
 from equimus_ctrl.recordings import read
 from equimus_ctrl.scenarios.references import HoldReference
-from equimus_ctrl.simulate import run
 from equimus_ctrl.types import Start
 
 pytestmark = pytest.mark.real_time

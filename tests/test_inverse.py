@@ -18,10 +18,10 @@ from equimus_ctrl.effects.base import catalogue
 from equimus_ctrl.effects.force import ForceEffect, force_laws
 from equimus_ctrl.effects.valves import command_for, shaped_commands, useful_commands
 from equimus_ctrl.engines.rest import rest_pose
+from equimus_ctrl.loop import run
 from equimus_ctrl.models.augmented import augmented_model, law_parameters
 from equimus_ctrl.models.inverse import inverse_dynamics
 from equimus_ctrl.robots.elastic.morphology import pack, structure
-from equimus_ctrl.simulate import run
 from equimus_ctrl.types import Array
 
 LEG = eq.nominal_leg()

@@ -13,13 +13,13 @@ from equimus_ctrl.controllers.custom import FunctionController
 from equimus_ctrl.effects import CoulombFriction, Effect, FirstOrderLag, SensorDelay, SensorOffset, TransportDelay
 from equimus_ctrl.engines.mjcf import simulate_mjcf
 from equimus_ctrl.errors import SimulationDiverged
+from equimus_ctrl.loop import run
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.plants.events import Load, Push
 from equimus_ctrl.plants.mujoco_plant import MujocoPlant, rates_of
 from equimus_ctrl.robots.mjcf.editing import Edits
 from equimus_ctrl.robots.mjcf.robot import MjcfRobot
 from equimus_ctrl.scenarios.references import HoldReference
-from equimus_ctrl.simulate import run
 from equimus_ctrl.types import Array, Observation, Reference, Start
 
 

@@ -15,12 +15,12 @@ from equimus_ctrl.controllers.registry import make_controller
 from equimus_ctrl.effects import Effect, make
 from equimus_ctrl.errors import ConfigError, ControllerError
 from equimus_ctrl.estimation.observer import ObserverFault
+from equimus_ctrl.loop import run
 from equimus_ctrl.models.inverse import holding_pressure
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.plants.mujoco_plant import MujocoPlant
 from equimus_ctrl.robots.elastic.leg import nominal_leg
 from equimus_ctrl.scenarios.references import FunctionReference, HoldReference
-from equimus_ctrl.simulate import run
 from equimus_ctrl.types import Array, Observation, Run, Start
 
 LEG, DT, POSE = nominal_leg(), 1 / 120, np.array([1.45, 0.6])

@@ -10,10 +10,10 @@ import pytest
 
 from equimus_ctrl.controllers.open_loop import OpenLoopController
 from equimus_ctrl.errors import ConfigError, NotAvailable
+from equimus_ctrl.loop import run
 from equimus_ctrl.models.model import nominal_model
 from equimus_ctrl.plants.registry import PLANTS, PlantRequest, make_plant
 from equimus_ctrl.scenarios.references import HoldReference
-from equimus_ctrl.simulate import run
 from equimus_ctrl.types import Observation, Plant, Recording
 
 MODEL = nominal_model()

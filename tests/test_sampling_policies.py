@@ -18,6 +18,7 @@ from equimus_ctrl.controllers.sampling_settings import SamplingSettings
 from equimus_ctrl.effects import FirstOrderLag, PayloadMass, StribeckFriction, TransportDelay
 from equimus_ctrl.engines.mjcf_realised import realise
 from equimus_ctrl.estimation.predicted import Known, Predicted
+from equimus_ctrl.loop import run
 from equimus_ctrl.models.dynamics import Dynamics
 from equimus_ctrl.models.model import Model, nominal_model
 from equimus_ctrl.plants.mujoco_plant import MujocoPlant
@@ -29,7 +30,6 @@ from equimus_ctrl.robots.mjcf.robot import MjcfRobot
 from equimus_ctrl.scenarios.references import HoldReference
 from equimus_ctrl.scenarios.scenario import Scenario
 from equimus_ctrl.scenarios.scoring import ArrivalFigures, score_run
-from equimus_ctrl.simulate import run
 from equimus_ctrl.types import Array, Run, Start
 
 EXAMPLES = Path(__file__).parents[1] / "docs" / "examples"

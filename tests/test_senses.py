@@ -10,11 +10,11 @@ from mjcf_models import PENDULUM, refusal
 
 from equimus_ctrl.controllers.custom import as_controller
 from equimus_ctrl.effects.sensors import SensorDelay, SensorScale
+from equimus_ctrl.loop import run
 from equimus_ctrl.models.model import Model, nominal_model
 from equimus_ctrl.plants.mujoco_plant import MujocoPlant, PlantRates
 from equimus_ctrl.plants.replay import ReplayPlant
 from equimus_ctrl.scenarios.references import HoldReference
-from equimus_ctrl.simulate import run
 from equimus_ctrl.types import Observation, PlantSpec, Recording, Reference, Start
 
 RATES = PlantRates(100.0, 100.0, 1000.0)

@@ -20,6 +20,7 @@ from equimus_ctrl.effects import Effect, FirstOrderLag, PayloadMass, TransportDe
 from equimus_ctrl.engines import native
 from equimus_ctrl.errors import ControllerError
 from equimus_ctrl.estimation.noise_model import followed
+from equimus_ctrl.loop import run
 from equimus_ctrl.models.dynamics import Dynamics
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.models.prediction import prediction, steps_in
@@ -27,7 +28,6 @@ from equimus_ctrl.plants.mujoco_plant import MujocoPlant, PlantRates
 from equimus_ctrl.robots.base import Robot
 from equimus_ctrl.robots.mjcf.robot import MjcfRobot
 from equimus_ctrl.scenarios.references import FunctionReference, HoldReference
-from equimus_ctrl.simulate import run
 from equimus_ctrl.types import Array, Controller, Run, Start
 
 PENDULUM = workflow.load_model(Path(__file__).parents[1] / "docs" / "examples" / "pendulum.xml").robot

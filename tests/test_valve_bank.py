@@ -16,13 +16,13 @@ from equimus_ctrl.effects import Effect, make
 from equimus_ctrl.estimation import bank_kernel
 from equimus_ctrl.estimation.observer import Observer, ObserverState
 from equimus_ctrl.estimation.valve_bank import Sent, ValveBank
+from equimus_ctrl.loop import run
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.models.solved import valves_of
 from equimus_ctrl.plants.mujoco_plant import MujocoPlant
 from equimus_ctrl.robots.elastic.leg import nominal_leg
 from equimus_ctrl.robots.mjcf.robot import MjcfRobot
 from equimus_ctrl.scenarios.references import FunctionReference
-from equimus_ctrl.simulate import run
 from equimus_ctrl.types import Array, Controller, Observation, Run
 
 LEG, DT, POSE = nominal_leg(), 1 / 120, np.array([1.45, 0.6])

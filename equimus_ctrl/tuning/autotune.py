@@ -21,11 +21,11 @@ from equimus_ctrl.controllers.pid_settings import PidSettings
 from equimus_ctrl.effects.valves import valve_effects
 from equimus_ctrl.engines.lane_functions import LANES
 from equimus_ctrl.errors import EquimusError
+from equimus_ctrl.loop import run
 from equimus_ctrl.models.model import Model, model_to_dict
 from equimus_ctrl.plants.mujoco_plant import MujocoPlant, PlantRates
 from equimus_ctrl.scenarios.references import SampledReference
 from equimus_ctrl.scenarios.scenario import Scenario
-from equimus_ctrl.simulate import run
 from equimus_ctrl.tuning.ensemble import Member, make_ensemble, most_lateness
 from equimus_ctrl.tuning.objective import Evaluation, Problem, make_task
 from equimus_ctrl.tuning.result import CrossCheck, TuningResult, versions

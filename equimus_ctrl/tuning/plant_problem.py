@@ -20,10 +20,10 @@ from equimus_ctrl import computer
 from equimus_ctrl.controllers.registry import ControllerEntry, ControllerRequest
 from equimus_ctrl.controllers.search_space import SearchSpace
 from equimus_ctrl.errors import ConfigError, ControllerError, SimulationDiverged
+from equimus_ctrl.loop import run
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.plants.mujoco_plant import MujocoPlant
 from equimus_ctrl.scenarios.scenario import Scenario
-from equimus_ctrl.simulate import run
 from equimus_ctrl.tuning.ensemble import later
 from equimus_ctrl.tuning.objective import BAND, TERMS, Evaluation, LegOutcome, Outcome, judged
 from equimus_ctrl.tuning.overshoot import ServosAlone, as_hinges, overshoots, servos_of

@@ -15,6 +15,7 @@ from equimus_ctrl.effects import FirstOrderLag, TransportDelay
 from equimus_ctrl.effects.bodies import BodyEffect, changed_bodies
 from equimus_ctrl.effects.valves import ValveEffect
 from equimus_ctrl.errors import ConfigError, ControllerError, SimulationDiverged, unknown_name
+from equimus_ctrl.loop import run
 from equimus_ctrl.models.model import Model, nominal_model
 from equimus_ctrl.models.spread import groups, latin_hypercube, perturbed
 from equimus_ctrl.options import CompareOptions, with_changes
@@ -23,7 +24,6 @@ from equimus_ctrl.robots.base import Robot
 from equimus_ctrl.scenarios.comparison import Comparison, Condition, Entry
 from equimus_ctrl.scenarios.scenario import Scenario
 from equimus_ctrl.scenarios.scoring import ErrorFigures, off_reference, score_run
-from equimus_ctrl.simulate import run
 from equimus_ctrl.tuning.ensemble import make_ensemble
 from equimus_ctrl.tuning.study import EnsembleSettings
 from equimus_ctrl.types import Controller

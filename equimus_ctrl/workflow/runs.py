@@ -13,6 +13,7 @@ from equimus_ctrl.controllers.custom import as_controller
 from equimus_ctrl.controllers.registry import CONTROLLERS, make_controller
 from equimus_ctrl.effects.base import Effect
 from equimus_ctrl.errors import ConfigError, SimulationDiverged, unknown_name
+from equimus_ctrl.loop import run
 from equimus_ctrl.models.kinematics import Kinematics
 from equimus_ctrl.models.model import Model, nominal_model
 from equimus_ctrl.plants.hardware.settings import HardwareSettings
@@ -25,7 +26,6 @@ from equimus_ctrl.scenarios.registry import SCENARIOS, ScenarioEntry, first_para
 from equimus_ctrl.scenarios.scenario import Scenario, ScenarioContext
 from equimus_ctrl.scenarios.scoring import Score, score_run
 from equimus_ctrl.settings import both
-from equimus_ctrl.simulate import run
 from equimus_ctrl.types import Controller, Counts, CountsInstants, Ends, KnowsContacts, Plant, Recording, Run
 
 

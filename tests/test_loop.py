@@ -3,20 +3,24 @@
 from __future__ import annotations
 
 import math
+import subprocess
+import sys
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
+import equimus_ctrl as eq
 from equimus_ctrl.effects import FirstOrderLag, TransportDelay
 from equimus_ctrl.errors import ConfigError, ControllerError, SimulationDiverged, unknown_name
+from equimus_ctrl.loop import checked_command, run
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.plants.mujoco_plant import MujocoPlant, make_spec
 from equimus_ctrl.robots.elastic.leg import nominal_leg
 from equimus_ctrl.scenarios.references import FunctionReference, HoldReference
-from equimus_ctrl.simulate import checked_command, run
 from equimus_ctrl.types import Array, Observation, PlantSpec, Recording, Reference, Start, frozen_array
 
 SPEC = make_spec(nominal_leg(), 0.1, None)
@@ -339,3 +343,15 @@ def test_an_unknown_name_lists_what_there_is() -> None:
         "leg: there is no link 'tigh'; did you mean 'thigh'? (known: calf, thigh)"
     )
     assert unknown_name("link", "x", []) == "there is no link 'x' (known: none)"
+
+
+def test_what_the_package_offers_is_no_module_of_it() -> None:
+    """Importing a submodule binds its name in the package, in the place of what the package offers by that name."""
+    folder = Path(eq.__file__).parent
+    modules = {path.stem for path in folder.iterdir() if path.suffix == ".py" or (path / "__init__.py").is_file()}
+    assert modules & set(eq.__all__) == {"testing"}
+
+
+def test_the_package_runs_as_a_module() -> None:
+    done = subprocess.run([sys.executable, "-m", "equimus_ctrl", "--version"], capture_output=True, text=True)
+    assert done.stdout == f"equimus-ctrl {eq.__version__}\n", done.stderr
