@@ -19,7 +19,7 @@ from equimus_ctrl.engines.trials import Trial
 from equimus_ctrl.errors import ConfigError, SimulationDiverged
 from equimus_ctrl.models.model import Model, nominal_model
 from equimus_ctrl.proof.designs import TrialDesign
-from equimus_ctrl.proof.drawing import GroundTruth, noise
+from equimus_ctrl.proof.drawing import Excess, GroundTruth, noise
 from equimus_ctrl.proof.mjcf import Experiment
 from equimus_ctrl.proof.mjcf_simulation import (
     EXACT,
@@ -163,6 +163,26 @@ def test_a_case_repeats_and_its_neighbour_differs(pendulum: Experiment) -> None:
     (_, one), (_, two) = simulate_mjcf_truth(first), simulate_mjcf_truth(again)
     assert all(np.array_equal(a, b) for a, b in zip(one, two, strict=True))
     assert all(np.array_equal(a, b) for a, b in zip(noise(first), noise(again), strict=True))
+
+
+def test_a_robot_that_no_fit_can_follow_is_drawn_again(
+    pendulum: Experiment, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    class Wild(Experiment):
+        def simulate(self, ground_truth: GroundTruth) -> tuple[GroundTruth, list[Array]]:
+            return ground_truth, []
+
+        def excess(
+            self, ground_truth: GroundTruth, clean: Sequence[Array], effects: Sequence[Effect] = (), refit: bool = True
+        ) -> Excess:
+            if ground_truth.robot.parameters() == pendulum.draw(3, 1).robot.parameters():
+                raise SimulationDiverged("too stiff")
+            return Excess(1.0, (1.0,), {})
+
+    request = Request.of_mjcf(tmp_path, 3, None, Wild(pendulum.model, pendulum.recordings))
+    found, _, truth = request.ground_truth(1)
+    assert found.robot.parameters() == pendulum.draw(3, 1, attempt=1).robot.parameters()
+    assert truth["excess"] == 1.0 and truth["kind"] == found.kind
 
 
 def test_what_is_concealed_is_what_a_diagnosis_would_believe(pendulum: Experiment) -> None:

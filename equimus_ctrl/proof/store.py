@@ -81,17 +81,19 @@ class Request:
         """Of every case."""
         return self.source.trial_names
 
-    def ground_truth(self, case: int) -> tuple[GroundTruth, list[Array]]:
-        """A case's ground truth and, for each trial, what its sensors would show without noise.
+    def ground_truth(self, case: int) -> tuple[GroundTruth, list[Array], dict[str, Any]]:
+        """A case's ground truth, for each trial what its sensors would show without noise, and all there is to know.
 
         Raises:
             ConfigError: where none of many robots in turn can be simulated.
         """
         for attempt in range(ATTEMPTS):
-            # What flies apart was no robot; another is drawn, from a stream of its own.
+            # What flies apart was no robot, nor can that be judged which equations of motion cannot follow at any step
+            # that they take. Another is drawn, from a stream of its own.
             found = self.source.draw(self.seed, case, self.kind, attempt)
             try:
-                return self.source.simulate(found)
+                driven, clean = self.source.simulate(found)
+                return driven, clean, truth_of(self.source, driven, clean)
             except SimulationDiverged:
                 continue
         raise ConfigError(f"case {case} of seed {self.seed}: {ATTEMPTS} robots in turn diverged on these commands")
@@ -181,10 +183,10 @@ def make_case(request: Request, case: int) -> Made:
         _check_same(request, truth)
         return Made(case, known.strip(), 0.0)
     began = time.perf_counter()
-    ground_truth, clean = request.ground_truth(case)
+    ground_truth, clean, truth = request.ground_truth(case)
     seen = request.source.recorded(ground_truth, clean)
     made = {"duration_s": request.duration, "physics_hz": request.rate, "recordings_sha256": digest(seen)}
-    line = salted({**truth_of(request.source, ground_truth, clean), **made}, request.seed, case)
+    line = salted({**truth, **made}, request.seed, case)
     write_folder(request.recordings(case), seen)
     write_text(request.truth(case), line + "\n")
     write_text(request.seal(case), seal(line) + "\n")
