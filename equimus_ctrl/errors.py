@@ -31,14 +31,16 @@ class SimulationDiverged(EquimusError):
     """A simulation left the range where its values mean anything.
 
     Attributes:
-        run: what happened before, a ``types.Run``, where it was driven by ``simulate.run``; else None.
+        run: what happened before, a ``types.Run``, where it was driven by ``loop.run``; else None.
         scenario: name of what was done, where that has one.
         controller: name of what drove it, likewise.
+        recording: file that it was recorded into, if that was asked for.
     """
 
     run: Any = None
     scenario: str = ""
     controller: str = ""
+    recording: Any = None
 
 
 class HardwareFault(EquimusError):

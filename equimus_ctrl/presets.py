@@ -8,12 +8,14 @@ from __future__ import annotations
 
 import importlib.util
 import json
+import logging
 import math
 import os
 import sys
 import tempfile
 import tomllib
 from collections.abc import Callable, Iterable, Mapping
+from contextlib import suppress
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -301,6 +303,7 @@ class JsonLines:
     def __init__(self, path: Path, header: Mapping[str, Any], fresh: bool = False) -> None:
         self.path = path
         self.rows: list[dict[str, Any]] = []
+        self._lost = False
         make_folder(path.parent)
         if path.exists():
             found = self._read()
@@ -312,11 +315,30 @@ class JsonLines:
         write_text(path, "".join(json.dumps(row) + "\n" for row in [dict(header), *self.rows]))
         self._file = path.open("a", encoding="utf-8")
 
+    @staticmethod
+    def header_of(path: Path) -> dict[str, Any] | None:
+        """The first row of a file; None where there is no file, or no row to be read."""
+        try:
+            with path.open(encoding="utf-8", errors="replace") as file:
+                found = json.loads(file.readline())
+        except (OSError, json.JSONDecodeError):
+            return None
+        return found if isinstance(found, dict) else None
+
     def append(self, row: Mapping[str, Any]) -> None:
-        """Add a row and hand it to the operating system."""
-        self._file.write(json.dumps(row) + "\n")
-        self._file.flush()
+        """Add a row and hand it to the operating system; where that cannot be, the work goes on without the file."""
         self.rows.append(dict(row))
+        if self._lost:
+            return
+        try:
+            self._file.write(json.dumps(row) + "\n")
+            self._file.flush()
+        except OSError as error:
+            self._lost = True
+            logging.getLogger("equimus_ctrl").warning(
+                "%s: cannot be written any more (%s); what is found from here on is not kept for another run",
+                self.path, error.strerror or error,
+            )  # fmt: skip
 
     def truncate(self, count: int) -> None:
         """Drop all rows from number ``count`` on, from the file too."""
@@ -327,8 +349,9 @@ class JsonLines:
         self._file = self.path.open("a", encoding="utf-8")
 
     def close(self) -> None:
-        """Close the file."""
-        self._file.close()
+        """Close the file; what a full disk left in its buffer is lost."""
+        with suppress(OSError):
+            self._file.close()
 
     def _read(self) -> list[dict[str, Any]]:
         rows: list[dict[str, Any]] = []

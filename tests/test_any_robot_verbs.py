@@ -76,7 +76,8 @@ def test_a_robot_of_xml_is_run_recorded_and_scored(ran: Ran, tmp_path: Path) -> 
     assert (found["model"], found["controller"], found["failure"]) == (RIG.name, "pid", None)
     assert found["rmse_rad"].keys() == {"shoulder"} and found["rmse_m"].keys() == {"reach"}
     assert files(tmp_path / "out") == {"joints.png", "commands.png", "series.csv", "score.json"}
-    assert json.loads((tmp_path / "out" / "score.json").read_text()) == found
+    inside = [Path(file).name for file in found["files"] if file.startswith("out")]
+    assert json.loads((tmp_path / "out" / "score.json").read_text()) == {**found, "files": inside}
     again = recordings.read(
         tmp_path / "kept" / "hold.csv", limits=recordings.Limits.of_mjcf(RIG.joint_names, RIG.actuator_names)
     )
@@ -86,15 +87,16 @@ def test_a_robot_of_xml_is_run_recorded_and_scored(ran: Ran, tmp_path: Path) -> 
 def test_a_run_that_diverges_keeps_what_there_is_and_says_why(ran: Ran, tmp_path: Path) -> None:
     wild = ("hold", "--model", "wild.xml", "-c", "own.py:Runaway", "--set", "duration=1", "--record", "kept")
     (tmp_path / "out").mkdir()
-    for name in ("score.json", "joints.png", "commands.png", "mine.txt"):
+    for name in ("joints.png", "commands.png", "mine.txt"):
         (tmp_path / "out" / name).write_text("of another run")
-    code, out, err = ran(*wild, "--json", "--output", "out")
+    (tmp_path / "out" / "score.json").write_text('{"files": ["joints.png", "commands.png"]}')
+    code, out, err = ran(*wild, "--json", "--output", "out", "--force")
     assert code == 3 and "the simulation diverged" in err
     found = json.loads(out)
     assert "diverged" in found["failure"] and found["failure"] in err
     assert (found["scenario"], found["controller"]) == ("hold", "own.py:Runaway")
     assert files(tmp_path / "out") == {"score.json", "series.csv", "mine.txt"}
-    assert json.loads((tmp_path / "out" / "score.json").read_text()) == found
+    assert json.loads((tmp_path / "out" / "score.json").read_text()) == {**found, "files": ["series.csv"]}
     kept = recordings.read(tmp_path / "kept" / "hold.csv", limits=recordings.Limits.of_mjcf(["z"], ["lift"]))
     assert kept.time[-1] == pytest.approx(found["ended_s"]) and kept.notes["failure"] == found["failure"]
 
@@ -110,8 +112,29 @@ def test_results_of_another_run_do_not_stay_beside_new_ones(ran: Ran, tmp_path: 
     short = ("hold", "--model", "pendulum.xml", "--set", "duration=0.1", "--output", "out")
     assert ran(*short)[0] == 0
     assert "series.csv" in files(tmp_path / "out")
-    assert ran(*short, "--no-figures")[0] == 0
+    code, _, err = ran(*short, "--no-figures")
+    assert code == 2 and "out: holds the results of an earlier run (score.json); expected another folder" in err
+    assert "series.csv" in files(tmp_path / "out")
+    assert ran(*short, "--no-figures", "--force")[0] == 0
     assert files(tmp_path / "out") == {"score.json"}
+
+
+def test_every_run_has_its_own_folder_and_its_own_recording(ran: Ran, tmp_path: Path) -> None:
+    short = ("hold", "--model", "pendulum.xml", "--set", "duration=0.1", "--no-figures", "--record", "kept")
+    for seed in range(3):
+        assert ran(*short, "--seed", str(seed))[0] == 0
+    folders = sorted((tmp_path / "results" / "run").iterdir())
+    assert [own.name for own in folders] == ["hold-pid", "hold-pid-2", "hold-pid-3"]
+    assert [json.loads((own / "score.json").read_text())["seed"] for own in folders] == [0, 1, 2]
+    assert files(tmp_path / "kept") == {"hold.csv", "hold-2.csv", "hold-3.csv"}
+    assert ran(*short, "--seed", "7", "--force")[0] == 0
+    assert len(list((tmp_path / "results" / "run").iterdir())) == 3
+    assert json.loads((folders[0] / "score.json").read_text())["seed"] == 7
+    assert len(files(tmp_path / "kept")) == 4, "a trial is one more, whatever else is replaced"
+    (tmp_path / "film.gif").write_text("mine")
+    code, _, err = ran(*short, "--video", "film.gif")
+    assert code == 2 and "film.gif: is there already; expected another name, or --force to replace it" in err
+    assert (tmp_path / "film.gif").read_text() == "mine"
 
 
 def test_a_video_of_an_xml_robot_is_written(ran: Ran, tmp_path: Path) -> None:

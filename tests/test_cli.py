@@ -370,7 +370,9 @@ def test_autotune(ran: Any, here: Path, monkeypatch: pytest.MonkeyPatch) -> None
     figures = [file for file in written if file.endswith(".png")]
     assert len(figures) >= 3 and all(file.startswith("tuning/results/small/") for file in figures)
     assert {Path(file).resolve() for file in found["files"]} == {
-        (here / file).resolve() for file in written if not file.endswith(("journal.jsonl", "small.toml"))
+        (here / file).resolve()
+        for file in written
+        if not file.endswith(("journal.jsonl", "small.toml", "small/pid.toml"))
     }
     for part in ("Gains", "cost", "stable on 1 unseen robots", "Margins", "on the MuJoCo plant"):
         assert part in err
@@ -396,7 +398,8 @@ def test_autotune_options(ran: Any, here: Path) -> None:
     assert code == 0, err
     found = json.loads(out)
     assert found["seed"] == 8 and found["evaluated"] == 2
-    assert files(here) == ["kept/journal.jsonl", "kept/record.json", "mine.toml", "small.toml"]
+    assert files(here) == ["kept/journal.jsonl", "kept/pid.toml", "kept/record.json", "mine.toml", "small.toml"]
+    assert (here / "kept" / "pid.toml").read_text() == (here / "mine.toml").read_text()
 
 
 CORRECTED = """

@@ -256,13 +256,15 @@ def test_the_command_writes_prints_and_tells(
     printed = capsys.readouterr()
     record = json.loads(printed.out)
     assert [e["controller"] for e in record["entries"]] == ["pid", "still"]
-    assert record == json.loads((tmp_path / "out" / "record.json").read_text())
+    kept = json.loads((tmp_path / "out" / "record.json").read_text())
+    assert sorted(kept.pop("files")) == ["errors.png", "motion_hold.png", "times.png"] and kept == record
     assert {p.name for p in (tmp_path / "out").iterdir()} == {
         "record.json", "errors.png", "times.png", "motion_hold.png",
     }  # fmt: skip
     assert "hold: reach" in printed.err and "still" in printed.err
     own.write_text("def still(observation, reference):\n    return [0.0]\n")
-    assert main([*arguments, "--no-figures"]) == 3
+    assert main([*arguments, "--no-figures"]) == 2 and "holds the results" in capsys.readouterr().err
+    assert main([*arguments, "--no-figures", "--force"]) == 3
     assert "still returned a command of shape (1,)" in " ".join(capsys.readouterr().err.split())
 
 

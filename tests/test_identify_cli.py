@@ -116,6 +116,7 @@ def test_identify_then_score(ran: Any, data: Path, tmp_path: Path) -> None:
     assert files(tmp_path) == sorted(["new/leg.toml", *pictures, "out/record.json"])
     assert sorted(found["files"]) == sorted(files(tmp_path))
     record = json.loads((tmp_path / "out/record.json").read_text())
+    assert record.pop("files") == [Path(file).name for file in found["files"] if file.endswith(".png")]
     assert record == {key: value for key, value in found.items() if key != "files"}
     for picture in pictures:
         assert (tmp_path / picture).read_bytes().startswith(b"\x89PNG")

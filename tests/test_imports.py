@@ -15,6 +15,7 @@ ORDER: tuple[tuple[str, ...], ...] = (
     ("errors", "computer"),
     ("types", "settings", "registry"),
     ("presets",),
+    ("outputs",),
     ("effects", "recordings"),
     ("robots",),
     ("models",),
@@ -34,10 +35,10 @@ ORDER: tuple[tuple[str, ...], ...] = (
 
 LEVEL = {part: level for level, parts in enumerate(ORDER) for part in parts}
 
-MAY_TOUCH_FILES = ("recordings", "cli", "presets", "report", "engines.compiled", "engines.native")
+MAY_TOUCH_FILES = ("recordings", "cli", "presets", "outputs", "report", "engines.compiled", "engines.native")
 """Modules that open files: data, the command line, what a user edits, pictures, and the cache of kernels."""
 
-PRESETS_SERVE = ("workflow", "cli", "report", "recordings")
+PRESETS_SERVE = ("workflow", "cli", "report", "recordings", "outputs")
 """Who may hand files to ``presets``; anybody else would touch files by its hand."""
 
 FILE_CALLS = {

@@ -62,6 +62,7 @@ EXAMPLES: dict[str, tuple[str, Any]] = {
     "dt": ("--dt 0.002", 0.002),
     "duration": ("--duration 3.5", 3.5),
     "engine": ("--engine mujoco", "mujoco"),
+    "force": ("--force", True),
     "exclude": ("--exclude creep --exclude hysteresis", ["creep", "hysteresis"]),
     "fit_start": ("--fit-start", True),
     "fix": ("--fix a.mass", ["a.mass"]),

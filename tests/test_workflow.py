@@ -359,7 +359,7 @@ def test_tuning_writes_where_it_says(study: Path, tmp_path: Path) -> None:
     assert tuned.settings == tmp_path / "controllers" / "pid.toml"
     assert tuned.folder == tmp_path / "tuning" / "results" / "small"
     assert tuned.record == tuned.folder / "record.json"
-    assert sorted(p.name for p in tuned.folder.iterdir()) == ["journal.jsonl", "record.json"]
+    assert sorted(p.name for p in tuned.folder.iterdir()) == ["journal.jsonl", "pid.toml", "record.json"]
     assert eq.PidSettings.from_dict(presets.read_toml(tuned.settings)) == tuned.result.settings
     comment = tuned.settings.read_text().split("\n\n")[0]
     assert comment.count("\n") == 1 and all(line.startswith("# ") for line in comment.split("\n"))
@@ -375,9 +375,48 @@ def test_tuned_again_it_asks_nothing_twice(study: Path) -> None:
     assert all(trial.reused for trial in two.result.history)
     fresh = workflow.tune_pid(study, fresh=True)
     assert fresh.reused == 0 and (fresh.folder / "journal-1.jsonl").exists()
+    assert len((fresh.folder / "journal-1.jsonl").read_text().splitlines()) == 4
+
+
+def test_another_tuning_leaves_what_is_there(study: Path, tmp_path: Path) -> None:
+    one = workflow.tune_pid(study)
+    before = {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()}
     other = workflow.tune_pid(study, seed=6)
-    assert other.reused == 0 and (other.folder / "journal-2.jsonl").exists()
-    assert len((other.folder / "journal-1.jsonl").read_text().splitlines()) == 4
+    assert one.left is None and other.left == one.settings and other.reused == 0
+    assert other.folder.name == "small-2" and other.settings == other.folder / "pid.toml"
+    assert eq.PidSettings.from_dict(presets.read_toml(other.settings)) == other.result.settings
+    assert {path: path.read_bytes() for path in before} == before
+    assert workflow.tune_pid(study, seed=6).folder == other.folder, "it is found again"
+    (tmp_path / "mine.toml").write_text("[gains]\n")
+    with pytest.raises(eq.ConfigError, match=r"mine.toml: is there already; expected another name, or --force"):
+        workflow.tune_pid(study, output=tmp_path / "mine.toml")
+    with pytest.raises(eq.ConfigError, match=r"small: holds another tuning, of other settings or another model"):
+        workflow.tune_pid(study, seed=7, folder=one.folder)
+    forced = workflow.tune_pid(study, seed=6, force=True)
+    assert (forced.folder, forced.settings, forced.left) == (one.folder, one.settings, None)
+    assert forced.settings.read_bytes() == other.settings.read_bytes()
+
+
+def test_tuned_settings_are_not_lost_with_a_full_disk(
+    study: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    """Where the results' disk is full, the settings are written all the same, and the message says where."""
+    write = presets.write_bytes
+
+    def full(path: Path, data: bytes) -> None:
+        if "results" in path.parts and path.name != "journal.jsonl":
+            raise eq.ConfigError(f"{path}: cannot be written (No space left on device)")
+        write(path, data)
+        if path.name == "journal.jsonl":
+            path.unlink()
+            path.symlink_to("/dev/full")
+
+    monkeypatch.setattr(presets, "write_bytes", full)
+    with pytest.raises(eq.ConfigError, match=r"No space left on device.*; the settings are in .*controllers/pid.toml"):
+        workflow.tune_pid(study)
+    assert presets.read_toml(tmp_path / "controllers" / "pid.toml")["gains"]
+    (told,) = {record.getMessage() for record in caplog.records if "journal.jsonl" in record.getMessage()}
+    assert "cannot be written any more (No space left on device)" in told
 
 
 def test_options_take_the_place_of_the_studys(study: Path, tmp_path: Path) -> None:

@@ -8,7 +8,16 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from equimus_ctrl.cli.common import Figures, Json, ModelFile, PluginFiles, people, print_files, print_json
+from equimus_ctrl.cli.common import (
+    Figures,
+    Json,
+    ModelFile,
+    PluginFiles,
+    people,
+    print_files,
+    print_json,
+    shown_path,
+)
 from equimus_ctrl.cli.options import with_options
 from equimus_ctrl.cli.progress import bars, time_left
 from equimus_ctrl.options import AutotuneOptions
@@ -122,6 +131,13 @@ def _tune(
         files += save_tuning_figures(tuned.result, tuned.folder)
     _print(console, tuned)
     print_files(console, files)
+    if tuned.left is not None:
+        console.print(
+            f"{shown_path(tuned.left)} was there already and stays as it is; --force replaces it, and run takes the "
+            f"new settings with --settings {shown_path(tuned.settings)}",
+            markup=False,
+            soft_wrap=True,
+        )  # fmt: skip
     if as_json:
         record = tuned.result.record()
         del record["evaluations"]

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from rich.table import Table
 
     from equimus_ctrl.engines.base import Engine
+    from equimus_ctrl.outputs import Results
 
 Json = Annotated[bool, typer.Option("--json", help="Print JSON on standard output, and nothing else there.")]
 ElasticFile = Annotated[
@@ -43,6 +44,7 @@ PluginFiles = Annotated[
     ),
 ]
 Figures = Annotated[bool, typer.Option(help="Draw figures.")]
+Force = Annotated[bool, typer.Option("--force", help="Replace what is there already; else it is refused.")]
 
 
 def people() -> Console:
@@ -59,32 +61,37 @@ def print_json(value: Any) -> None:
     sys.stdout.write(json_text(value))
 
 
-def check_model_file(path: Path | None) -> None:
+def check_model_file(path: Path | None, force: bool = False) -> None:
     """Refuse a place where no model file can be written, before anything is computed.
 
     Raises:
-        ConfigError: where it is a folder, its name does not end in .toml, or its folder cannot be written to.
+        ConfigError: where it is a folder, its name does not end in .toml, its folder cannot be written to, or it is
+            there already and is not to be replaced.
     """
-    from equimus_ctrl import presets
+    from equimus_ctrl import outputs, presets
 
     if path is not None:
         presets.check_toml(path)
+        outputs.check_new(path, force)
 
 
-def write_results(folder: Path, draw: Callable[[], dict[str, Figure]], record: dict[str, Any]) -> list[Path]:
-    """Figures and ``record.json`` into a folder; nothing where drawing fails or is stopped."""
+def write_results(
+    results: Results, default: Path, draw: Callable[[], dict[str, Figure]], record: dict[str, Any]
+) -> list[Path]:
+    """Figures and ``record.json`` into the folder of a run; nothing where drawing fails or is stopped."""
     import tempfile
 
-    from equimus_ctrl import presets
+    from equimus_ctrl import outputs, presets
     from equimus_ctrl.report import style
 
     with tempfile.TemporaryDirectory() as scratch:
         drawn = [style.save(figure, Path(scratch) / f"{name}.png") for name, figure in draw().items()]
         pictures = {file.name: file.read_bytes() for file in drawn}
+    folder = results.opened(default)
     for name, data in pictures.items():
         presets.write_bytes(folder / name, data)
-    presets.write_text(folder / "record.json", presets.json_text(record))
-    return [folder / name for name in pictures] + [folder / "record.json"]
+    files = [folder / name for name in pictures]
+    return [*files, outputs.write_record(folder, "record.json", record, files)]
 
 
 def shown_path(path: Path) -> str:

@@ -9,6 +9,7 @@ import typer
 
 from equimus_ctrl.cli.common import (
     Figures,
+    Force,
     Json,
     ModelFile,
     PluginFiles,
@@ -36,8 +37,9 @@ def compare(
     options: CompareOptions,
     plugins: PluginFiles = None,
     output: Annotated[
-        Path | None, typer.Option("--output", "-o", help="Folder for figures and record; results/compare by default.")
+        Path | None, typer.Option("--output", "-o", help="Folder for figures and record; results/compare/… by default.")
     ] = None,
+    force: Force = False,
     figures: Figures = True,
     as_json: Json = False,
 ) -> None:
@@ -53,14 +55,13 @@ def compare(
     equimus-ctrl compare triangle --corrected corrected.toml
     equimus-ctrl compare hold track --model robot.xml
     """  # noqa: D301
-    from equimus_ctrl import presets, workflow
+    from equimus_ctrl import outputs, presets, workflow
     from equimus_ctrl.cli.common import write_results
     from equimus_ctrl.report.comparison import comparison_figures, comparison_table
 
     console = people()
     workflow.load_plugins(plugins or ())
-    folder = output or presets.workspace() / "results" / "compare"
-    presets.check_folder(folder)
+    results = outputs.Results(output, force)
     with stage_bar(console, "compare", width=36, bar_width=24) as show:
         found = workflow.compare(
             scenarios,
@@ -70,7 +71,9 @@ def compare(
             notify=lambda share, what: show(what, share),
         )
     record = found.to_dict()
-    files = write_results(folder, lambda: comparison_figures(found) if figures else {}, record)
+    named = "-".join(presets.plain_name(Path(name).stem) for name in scenarios)[:60]
+    default = presets.workspace() / "results" / "compare" / named
+    files = write_results(results, default, lambda: comparison_figures(found) if figures else {}, record)
     console.print(comparison_table(found))
     print_files(console, files)
     if as_json:

@@ -10,6 +10,7 @@ from typing import Annotated
 import typer
 
 from equimus_ctrl.cli.common import (
+    Force,
     Json,
     PluginFiles,
     check_model_file,
@@ -38,6 +39,7 @@ def diagnose(
     report: Annotated[
         Path | None, typer.Option("--report", metavar="DIR", help="Write report.html, record.json and figures there.")
     ] = None,
+    force: Force = False,
     *,
     options: DiagnoseOptions,
     plugins: PluginFiles = None,
@@ -61,11 +63,10 @@ def diagnose(
     equimus-ctrl diagnose unit_a unit_b --by folder --model robot.xml
     equimus-ctrl diagnose runs --model robot.xml --parameters free.toml --write-model corrected.toml
     """  # noqa: D301
-    from equimus_ctrl import presets
+    from equimus_ctrl import outputs, presets
 
-    if report is not None:
-        presets.check_folder(report)
-    check_model_file(write_model)
+    results = outputs.Results(report, force)
+    check_model_file(write_model, force)
     console = people()
     files: list[Path] = []
     with stage_bar(console, "getting ready", width=34, bar_width=24) as show, best_so_far(console) as asked:
@@ -84,18 +85,19 @@ def diagnose(
             from equimus_ctrl.report.diagnosis_page import page
 
             show("report")
-            presets.make_folder(report)
-            files.append(report / "record.json")
-            presets.write_text(files[-1], presets.json_text(record))
+            folder = results.opened(report)
             title = f"Diagnosis of {', '.join(path.name for path in recordings)}"
             text = page(found, title, command_line=shlex.join(["equimus-ctrl", *sys.argv[1:]]))
-            files.append(report / "report.html")
-            presets.write_text(files[-1], text)
+            shown = folder / "report.html"
+            files += [outputs.write_record(folder, "record.json", record, [shown]), shown]
+            presets.write_text(shown, text)
     from equimus_ctrl.report.diagnosis_text import print_diagnosis
 
     print_diagnosis(console, found)
     if write_model is not None:
         for path, corrected in workflow.by_group(write_model, found.corrected, found.groups):
+            # Of groups the names are known now only.
+            path = path if force or path == write_model else outputs.free_name(path)
             files += workflow.save_model(path, workflow.renamed(corrected, path.stem), chosen.model)
     print_files(console, files)
     if as_json:

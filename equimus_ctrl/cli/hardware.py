@@ -7,7 +7,7 @@ from typing import Annotated, Any
 
 import typer
 
-from equimus_ctrl.cli.common import Json, check_model_file, key_values, people, print_files, print_json
+from equimus_ctrl.cli.common import Force, Json, check_model_file, key_values, people, print_files, print_json
 from equimus_ctrl.cli.emulate import Domain, HardwareFile
 from equimus_ctrl.cli.model_choice import ModelChoice
 from equimus_ctrl.cli.options import with_options
@@ -102,6 +102,7 @@ def delay(
     write_model: Annotated[
         Path | None, typer.Option(metavar="FILE", help="Model file to write, for --nominal: with delays and lags.")
     ] = None,
+    force: Force = False,
     as_json: Json = False,
 ) -> None:
     """Sweep the commands, and fit each actuator's dead time and lag from end to end.
@@ -123,7 +124,7 @@ def delay(
     console = people()
     if not arm:
         raise ConfigError("a delay can only be measured on a robot that is commanded; give --arm")
-    check_model_file(write_model)
+    check_model_file(write_model, force)
     robot = chosen.read()
     wired = workflow.load_hardware(hardware, robot, domain)
     path = new_file(record or presets.workspace() / "results" / "hardware", "delay")

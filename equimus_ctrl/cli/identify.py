@@ -9,6 +9,7 @@ import typer
 
 from equimus_ctrl.cli.common import (
     Figures,
+    Force,
     Json,
     PluginFiles,
     check_model_file,
@@ -49,6 +50,7 @@ def identify(
         Path | None,
         typer.Option("--output", "-o", metavar="DIR", help="For figures and record.json; identification/results/…"),
     ] = None,
+    force: Force = False,
     figures: Figures = True,
     *,
     options: IdentifyOptions,
@@ -68,11 +70,11 @@ def identify(
     equimus-ctrl identify runs --model robot.xml --free '*.mass' --free '*.damping'
     equimus-ctrl identify static_poses_13.csv my_recordings --free '*.damping' --free 'maa.*' --bound maa.area=3e-4,5e-4
     """  # noqa: D301
-    from equimus_ctrl import presets
+    from equimus_ctrl import outputs, presets
 
-    folder = output or presets.workspace() / "identification" / "results" / recordings[0].resolve().stem
-    presets.check_folder(folder)
-    check_model_file(write_model)
+    default = presets.workspace() / "identification" / "results" / recordings[0].resolve().stem
+    results = outputs.Results(output, force)
+    check_model_file(write_model, force)
     console = people()
     with stage_bar(console, "getting ready", width=13) as show:
         from equimus_ctrl import workflow
@@ -96,7 +98,7 @@ def identify(
             show("figures")
             return identification_figures(found) if figures else {}
 
-        files = write_results(folder, draw, record)
+        files = write_results(results, default, draw, record)
     if write_model is not None:
         files += workflow.save_model(write_model, workflow.renamed(found.model, write_model.stem), chosen.model)
     print_identification(console, found)

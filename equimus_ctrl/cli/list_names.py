@@ -10,6 +10,7 @@ from typing import Annotated, Any
 import typer
 
 from equimus_ctrl.cli.common import (
+    Force,
     Json,
     ModelFile,
     PluginFiles,
@@ -42,6 +43,7 @@ def list_names(
         Path | None,
         typer.Option(metavar="FILE", help="Write the parameters of a model to be edited, for --parameters."),
     ] = None,
+    force: Force = False,
     as_json: Json = False,
 ) -> None:
     """List scenarios, controllers, plants, effects, models, parameters of a model, or thresholds of a diagnosis.
@@ -64,7 +66,7 @@ def list_names(
     for option, given in (("--model", model), ("--write", write)):
         if given is not None and kind is not Kind.parameters:
             raise ConfigError(f"{option} is for list parameters, not for list {kind.value}")
-    rows = _parameters(model, write) if kind is Kind.parameters else _rows(kind)
+    rows = _parameters(model, write, force) if kind is Kind.parameters else _rows(kind)
     if as_json:
         print_json({kind.value: rows})
         return
@@ -83,13 +85,13 @@ def list_names(
         print_engine(console, engine_for(load_model(model)))
 
 
-def _parameters(model: Path | None, write: Path | None) -> list[dict[str, Any]]:
+def _parameters(model: Path | None, write: Path | None, force: bool) -> list[dict[str, Any]]:
     from equimus_ctrl import workflow
 
     robot = workflow.load_model(model)
     rows = workflow.parameter_rows(robot)
     if write is not None:
-        check_model_file(write)
+        check_model_file(write, force)
         workflow.offer(write, robot)
         print_files(people(), [write])
     for row in rows:

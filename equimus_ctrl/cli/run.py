@@ -9,6 +9,7 @@ import typer
 
 from equimus_ctrl.cli.common import (
     Figures,
+    Force,
     Json,
     PluginFiles,
     Recordings,
@@ -26,10 +27,7 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from equimus_ctrl.errors import SimulationDiverged
-    from equimus_ctrl.types import Run
-
-RESULTS = ("score.json", "series.csv", "joints.png", "foot_path.png", "site_path.png", "pressures.png", "commands.png")
-"""What a run writes into its folder, as far as its robot has it and it is asked for."""
+    from equimus_ctrl.outputs import Results
 
 
 @with_options
@@ -72,6 +70,7 @@ def run(
         bool, typer.Option("--arm", help="Send commands to the real robot; without, only what would be sent is shown.")
     ] = False,
     video: Annotated[Path | None, typer.Option(help="Also write a video (.mp4 or .gif).")] = None,
+    force: Force = False,
     figures: Figures = True,
     as_json: Json = False,
 ) -> None:
@@ -88,7 +87,7 @@ def run(
     equimus-ctrl run chirp --plant hardware --arm --record my_recordings
     equimus-ctrl run chirp --plugin docs/examples/drag.py --effect quadratic_drag:knee:coefficient=0.02
     """  # noqa: D301
-    from equimus_ctrl import presets, workflow
+    from equimus_ctrl import outputs, presets, workflow
     from equimus_ctrl.effects import parse
     from equimus_ctrl.errors import ConfigError, EquimusError, SimulationDiverged
     from equimus_ctrl.plants.registry import PLANTS
@@ -101,9 +100,10 @@ def run(
 
         check_suffix(video)
         presets.check_folder(video.parent)
-    for place in (output, record):
-        if place is not None:
-            presets.check_folder(place)
+        outputs.check_new(video, force)
+    results = outputs.Results(output, force)
+    if record is not None:
+        presets.check_folder(record)
     robot = chosen.read()
     if given := robot.robot.prescribed_names:
         raise ConfigError(
@@ -114,7 +114,9 @@ def run(
     if not real and (arm or hardware is not None or domain is not None):
         known = " or ".join(name for name, entry in PLANTS.items() if entry.real)
         raise ConfigError(f"--arm, --hardware and --domain are for --plant {known} alone")
-    streamed = new_file(record or presets.workspace() / "results" / "hardware", scenario) if real and arm else None
+    if record is None and real and arm:
+        record = presets.workspace() / "results" / "hardware"
+    trial = new_file(record, scenario) if record is not None and (arm or not real) else None
     try:
         with share_bar(console, scenario) as show:
             done = workflow.run_scenario(
@@ -132,24 +134,24 @@ def run(
                 progress=show,
                 hardware=workflow.load_hardware(hardware, robot, domain) if real else None,
                 armed=arm,
-                record=streamed,
+                record=trial,
             )
     except SimulationDiverged as stop:
         if stop.run is not None:
             kept = {"plant": plant, "model": robot.name, "seed": seed}
-            result, files = keep_diverged(stop, output, record, figures, kept)
+            result, files = keep_diverged(stop, results, figures, kept)
             print_files(console, files)
             if as_json:
                 print_json(result)
         raise
     except (EquimusError, KeyboardInterrupt) as stop:
-        if streamed is not None:
+        if real and trial is not None:
             from equimus_ctrl.plants.hardware.interface import stopped_word
 
-            print_stopped(console, stop, streamed, stopped_word(robot.robot.command_units))
+            print_stopped(console, stop, trial, stopped_word(robot.robot.command_units))
         raise
     label = f"{done.scenario.name}, {done.controller}"
-    folder = emptied(output, done.scenario.name, done.controller)
+    folder = results.opened(own_folder(done.scenario.name, done.controller))
     files = []
     if figures:
         from equimus_ctrl.report.run_figures import save_run_figures
@@ -157,11 +159,8 @@ def run(
 
         files += save_run_figures(done.run, done.scenario, done.score, done.kinematics, folder, label)
         files.append(save_series(done.run, folder / "series.csv"))
-    if streamed is not None:
-        files.append(streamed)
-    elif record is not None and not real:
-        notes = {"scenario": done.scenario.name, "controller": done.controller, "seed": str(seed)}
-        files.append(recorded(done.run, record, done.scenario.name, notes))
+    if done.recording is not None:
+        files.append(done.recording)
     result = score_to_dict(done.score, done.run, done.scenario, done.controller)
     note = None
     if video is not None:
@@ -179,7 +178,7 @@ def run(
         "failure": None,
         "files": [str(f) for f in files],
     }
-    presets.write_text(folder / "score.json", presets.json_text(result))
+    outputs.write_record(folder, "score.json", result, files)
     console.print(run_table(done.score, done.run, done.scenario, done.controller))
     if done.loop is not None:
         result["loop"] = done.loop.to_dict()
@@ -193,48 +192,32 @@ def run(
         print_json(result)
 
 
-def emptied(output: Path | None, scenario: str, controller: str) -> Path:
-    """The folder of a run, without what another run left there under the names that this one may write."""
+def own_folder(scenario: str, controller: str) -> Path:
+    """Where results of a run go by default, before it is numbered."""
     from equimus_ctrl import presets
 
-    folder = output or presets.workspace() / "results" / "run" / f"{scenario}-{_file_name(controller)}"
-    for name in RESULTS:
-        (folder / name).unlink(missing_ok=True)
-    return folder
-
-
-def recorded(run: Run, folder: Path, scenario: str, notes: dict[str, str]) -> Path:
-    """Write a run as a recording into a folder; its file."""
-    from equimus_ctrl import presets
-    from equimus_ctrl.recordings import write
-
-    presets.make_folder(folder)
-    path = folder / f"{scenario}.csv"
-    write(path, run.recording(scenario, notes))
-    return path
+    return presets.workspace() / "results" / "run" / f"{_file_name(scenario)}-{_file_name(controller)}"
 
 
 def keep_diverged(
-    stop: SimulationDiverged, output: Path | None, record: Path | None, figures: bool, names: dict[str, Any]
+    stop: SimulationDiverged, results: Results, figures: bool, names: dict[str, Any]
 ) -> tuple[dict[str, Any], list[Path]]:
     """Write what a run came to until its simulation diverged, with the reason: the JSON, and the files.
 
     Args:
         stop: what has the run.
-        output: folder of the results; the run's own by default.
-        record: folder for the recording, if one was asked for.
+        results: folder for it.
         figures: whether a table over time was asked for, beside which figures stand.
         names: what else stands in the JSON.
     """
-    from equimus_ctrl import presets
+    from equimus_ctrl import outputs
     from equimus_ctrl.report.series import save_series
 
-    folder, files = emptied(output, stop.scenario, stop.controller), []
+    folder, files = results.opened(own_folder(stop.scenario, stop.controller)), []
     if figures:
         files.append(save_series(stop.run, folder / "series.csv"))
-    if record is not None and len(stop.run.time) > 1:  # a recording has at least two rows
-        notes = {"scenario": stop.scenario, "controller": stop.controller, "seed": str(names["seed"])}
-        files.append(recorded(stop.run, record, stop.scenario, {**notes, "failure": str(stop)}))
+    if stop.recording is not None:
+        files.append(stop.recording)
     result = {
         "scenario": stop.scenario,
         "controller": stop.controller,
@@ -244,17 +227,15 @@ def keep_diverged(
         "ended_s": float(stop.run.time[-1]),
         "files": [str(file) for file in files],
     }
-    presets.write_text(folder / "score.json", presets.json_text(result))
+    outputs.write_record(folder, "score.json", result, files)
     return result, files
 
 
 def new_file(folder: Path, scenario: str) -> Path:
-    """A name that no recording in the folder has."""
-    from equimus_ctrl import presets
+    """A name that no recording in the folder has: the scenario's, or that with the next free number."""
+    from equimus_ctrl import outputs
 
-    presets.make_folder(folder)
-    stem = _file_name(Path(scenario).stem)
-    return next(path for k in range(1, 10**6) if not (path := folder / f"{stem}_{k:03d}.csv").exists())
+    return outputs.free_name(folder / f"{_file_name(Path(scenario).stem)}.csv")
 
 
 def print_stopped(console: Console, stop: BaseException, streamed: Path, word: str) -> None:

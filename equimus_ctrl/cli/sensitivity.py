@@ -9,6 +9,7 @@ import typer
 
 from equimus_ctrl.cli.common import (
     Figures,
+    Force,
     Json,
     PluginFiles,
     light_table,
@@ -40,6 +41,7 @@ def sensitivity(
         Path | None,
         typer.Option("--output", "-o", metavar="DIR", help="For figures and record.json; identification/results/…"),
     ] = None,
+    force: Force = False,
     figures: Figures = True,
     *,
     options: SensitivityOptions,
@@ -54,11 +56,11 @@ def sensitivity(
     equimus-ctrl sensitivity step_release.csv --window 5 9 --parameter 'baa.*' --parameter '*.damping'
     equimus-ctrl sensitivity my_recordings --model identified.toml --share -20 --share 20 --json
     """  # noqa: D301
-    from equimus_ctrl import presets
+    from equimus_ctrl import outputs, presets
 
     name = f"{recordings[0].resolve().stem}_sensitivity"
-    folder = output or presets.workspace() / "identification" / "results" / name
-    presets.check_folder(folder)
+    default = presets.workspace() / "identification" / "results" / name
+    results = outputs.Results(output, force)
     console = people()
     with stage_bar(console, "simulating") as show:
         from equimus_ctrl import workflow
@@ -78,7 +80,7 @@ def sensitivity(
             show("figures")
             return sensitivity_figures(found) if figures else {}
 
-        files = write_results(folder, draw, record)
+        files = write_results(results, default, draw, record)
     _print(console, found)
     print_files(console, files)
     if as_json:

@@ -10,6 +10,7 @@ import typer
 from equimus_ctrl.cli.common import (
     ElasticFile,
     Figures,
+    Force,
     Json,
     light_table,
     people,
@@ -48,9 +49,10 @@ def validate(
     output: Annotated[
         Path | None,
         typer.Option(
-            "--output", "-o", metavar="DIR", help="For the record and figures; validation/results by default."
+            "--output", "-o", metavar="DIR", help="For the record and figures; validation/results/… by default."
         ),
     ] = None,
+    force: Force = False,
     *,
     options: ValidateOptions,
     as_json: Json = False,
@@ -68,10 +70,9 @@ def validate(
     """  # noqa: D301
     from rich.progress import BarColumn, TextColumn
 
-    from equimus_ctrl import presets, workflow
+    from equimus_ctrl import outputs, presets, workflow
 
-    folder = output or presets.workspace() / "validation" / "results"
-    presets.check_folder(folder)
+    results = outputs.Results(output, force)
     robot = workflow.load_elastic(model)
     console = people()
     columns = (TextColumn("{task.description:<22}"), BarColumn(), *times(), TextColumn("{task.fields[error]}"))
@@ -90,13 +91,13 @@ def validate(
                 console.print(f"{TITLES[stage]}: done" + ("" if error is None else f", RMSE {error:.1e} rad"))
 
         found = validate_physics(robot, options, notify=notify)
-    record = found.to_dict()
-    files = [folder / "validation.json"]
-    presets.write_text(files[0], presets.json_text(record))
+    record, drawn = found.to_dict(), list[Path]()
+    folder = results.opened(presets.workspace() / "validation" / "results" / presets.plain_name(robot.name))
     if figures:
         from equimus_ctrl.report.validation_figures import save_validation_figures
 
-        files += save_validation_figures(found, folder)
+        drawn = save_validation_figures(found, folder)
+    files = [outputs.write_record(folder, "validation.json", record, drawn), *drawn]
     _print(console, found)
     print_files(console, files)
     if as_json:

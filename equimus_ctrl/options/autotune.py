@@ -21,11 +21,14 @@ class AutotuneOptions:
         scenarios: objectives in place of the study's own, each of the same weight.
         candidates: sets of numbers to try in all, in place of the study's number.
         seed: of the search, the ensemble and the noise, in place of the study's.
-        output: settings file to write; the controller's own in ``controllers/`` by default.
-        folder: of the record and the journal; ``tuning/results/<study>`` by default.
+        output: settings file to write; the controller's own in ``controllers/`` by default, where there is none yet.
+            They are also written into ``folder``.
+        folder: of the record and the journal; ``tuning/results/<study>`` by default, numbered where that holds another
+            tuning.
         recordings: folder that scenarios may take recordings from; none by default, so that the same command gives the
             same gains whether recordings are at hand or not.
         fresh: do not take up an interrupted run.
+        force: replace settings that are there already, and the results of another tuning in ``folder``.
         workers: threads or processes; all cores by default.
         budget: the search gives its best so far after this time; as long as its candidates take by default [s].
 
@@ -39,7 +42,11 @@ class AutotuneOptions:
     candidates: int | None = option(None, int | None, "Sets of numbers to try in all.")
     seed: int | None = option(None, int | None, "Of the search, the ensemble and the noise.")
     output: Path | None = option(
-        None, Path | None, "Settings file to write; controllers/<controller>.toml by default.", "--output", "-o"
+        None,
+        Path | None,
+        "Settings file to write; by default controllers/<controller>.toml, if there is none.",
+        "--output",
+        "-o",
     )
     folder: Path | None = option(
         None, Path | None, "Folder for record, journal and figures; tuning/results/<study> by default.", "--results"
@@ -48,6 +55,7 @@ class AutotuneOptions:
         None, Path | None, "Folder that scenarios may take recordings from; none by default.", metavar="DIR"
     )
     fresh: bool = option(False, bool, "Start anew instead of going on where a run stopped.", "--fresh")
+    force: bool = option(False, bool, "Replace settings that are there already.", "--force")
     workers: int | None = threads_option("Threads or processes; all cores by default.")
     budget: float | None = option(
         None,

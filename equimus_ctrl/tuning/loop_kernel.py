@@ -1,6 +1,6 @@
 """The closed-loop kernel: the PID on robots with all their effects, up to LANES of them side by side.
 
-It is ``simulate.run`` with a ``MujocoPlant`` and a ``PidController``, on the exact reduced model; a test holds the two
+It is ``loop.run`` with a ``MujocoPlant`` and a ``PidController``, on the exact reduced model; a test holds the two
 together. As in the plant, pressures are held at their mean over a step, and what joint stops exert follows the state
 within it. What a lane does depends on no other.
 """

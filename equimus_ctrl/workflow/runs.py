@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from equimus_ctrl import presets
+from equimus_ctrl import outputs, presets
 from equimus_ctrl.controllers.custom import as_controller
 from equimus_ctrl.controllers.registry import CONTROLLERS, make_controller
 from equimus_ctrl.effects.base import Effect
@@ -19,7 +19,7 @@ from equimus_ctrl.models.model import Model, nominal_model
 from equimus_ctrl.plants.hardware.settings import HardwareSettings
 from equimus_ctrl.plants.mujoco_plant import check_nominal
 from equimus_ctrl.plants.registry import PLANTS, PlantRequest, make_plant
-from equimus_ctrl.recordings import locate, read_path, read_set
+from equimus_ctrl.recordings import locate, read_path, read_set, write
 from equimus_ctrl.robots.base import Robot
 from equimus_ctrl.robots.elastic.morphology import elastic_of
 from equimus_ctrl.scenarios.registry import SCENARIOS, ScenarioEntry, first_paragraph
@@ -142,6 +142,7 @@ class ScenarioRun:
         model: what was simulated.
         plant: name of the plant.
         loop: what the loop saw of itself, of plants that count that.
+        recording: file that it was recorded into, if that was asked for.
     """
 
     scenario: Scenario
@@ -151,6 +152,7 @@ class ScenarioRun:
     model: Model
     plant: str
     loop: Counts | None = None
+    recording: Path | None = None
 
     @property
     def kinematics(self) -> Kinematics | None:
@@ -194,7 +196,7 @@ def run_scenario(
         progress: called with the share done.
         hardware: how a real robot is reached, for the plant of that name.
         armed: whether commands are sent to it.
-        record: new file that is written while it moves.
+        record: new file for the run as a recording; of a real robot it is written while that moves, if it is armed.
 
     Raises:
         EquimusError: for anything a user can get wrong, in one sentence.
@@ -206,6 +208,8 @@ def run_scenario(
     check_nominal(known.robot, model.robot)
     if seed < 0:
         raise ConfigError(f"seed is {seed}, expected at least 0")
+    if record is not None:
+        outputs.check_new(record)
     if isinstance(plant, str):
         PLANTS.entry(plant).check_effects(effects, model.effects)
     if effects:
@@ -221,6 +225,9 @@ def run_scenario(
     else:
         label = str(getattr(controller, "name", None) or getattr(controller, "__name__", type(controller).__name__))
         driven = as_controller(controller, label)
+    real = isinstance(plant, str) and PLANTS.entry(plant).real
+    if record is not None and real:
+        presets.make_folder(record.parent)
     if isinstance(plant, str):
         request = PlantRequest(model, scenario.recorded, noise, known, scenario.events, hardware, armed, record)
         plant_name, machine = plant, make_plant(plant, request)
@@ -229,18 +236,33 @@ def run_scenario(
     duration = scenario.duration
     if isinstance(machine, Ends):
         duration = min(duration, machine.duration)
+    notes = {"scenario": scenario.name, "controller": label, "seed": str(seed)}
     try:
         outcome = run(machine, driven, scenario.reference, duration, start=scenario.start, seed=seed, progress=progress)
     except SimulationDiverged as error:
         error.scenario, error.controller = scenario.name, label
+        if record is not None and error.run is not None and len(error.run.time) > 1:  # a recording has two rows or more
+            error.recording = _recorded(record, error.run.recording(scenario.name, {**notes, "failure": str(error)}))
         raise
     finally:
         machine.close()
+    if record is not None and not real:
+        record = _recorded(record, outcome.recording(scenario.name, notes))
     if isinstance(machine, KnowsContacts) and machine.touched:
         said = f"{machine.touched}, and contacts are in no equations of motion that a controller computes with"
         outcome = replace(outcome, note=both(outcome.note, said))
     counts = machine.counts if isinstance(machine, CountsInstants) else None
-    return ScenarioRun(scenario, label, outcome, score_run(outcome, scenario), model, plant_name, counts)
+    score = score_run(outcome, scenario)
+    kept = record if record is not None and record.exists() else None
+    return ScenarioRun(scenario, label, outcome, score, model, plant_name, counts, kept)
+
+
+def _recorded(path: Path, recording: Recording) -> Path:
+    """Write a recording; where another process has taken its name in the meantime, by the next free one."""
+    presets.make_folder(path.parent)
+    path = outputs.free_name(path)
+    write(path, recording)
+    return path
 
 
 def own_settings(file: str, robot: Robot) -> str:

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
 
-from equimus_ctrl import presets
+from equimus_ctrl import outputs, presets
 from equimus_ctrl.controllers.registry import CONTROLLERS, tunable
 from equimus_ctrl.errors import ConfigError
 from equimus_ctrl.models.model import Model, nominal_model
@@ -20,6 +20,8 @@ from equimus_ctrl.workflow.runs import load_scenario, own_settings
 FOR_ALL = ("leg.toml", "any.toml")
 """Studies of controllers that have none of their own: of a robot by its joints, and of any other."""
 
+JOURNAL = "journal.jsonl"
+
 
 @dataclass(frozen=True, eq=False)
 class Tuned:
@@ -28,10 +30,11 @@ class Tuned:
     Attributes:
         controller: what was tuned.
         result: what was found.
-        settings: the settings file.
+        settings: the settings file; where ``left`` is one, it is in ``folder``.
         record: the JSON record.
         folder: of the record, the journal and the figures.
         reused: how many evaluations an earlier, interrupted run had already made.
+        left: the settings file that was there already and stays as it is; None where the tuned ones took its place.
     """
 
     controller: str
@@ -40,6 +43,7 @@ class Tuned:
     record: Path
     folder: Path
     reused: int
+    left: Path | None = None
 
 
 def autotune(
@@ -97,11 +101,13 @@ def autotune(
     stem = f"{stem}_{presets.plain_name(model.name)}" if for_any else stem
     results = options.folder or root / "tuning" / "results" / stem
     presets.check_toml(target)
-    presets.check_folder(results)
-    key = key_of(settings, problem)
-    store = presets.JsonLines(
-        results / "journal.jsonl", {"format": "equimus-ctrl/journal/1", "key": key}, options.fresh
-    )
+    header = {"format": "equimus-ctrl/journal/1", "key": key_of(settings, problem)}
+    results = _folder(options, results, header)
+    copy = results / file
+    kept = _is_anothers(target, copy) and not options.force
+    if kept and options.output is not None:
+        outputs.check_new(target)
+    store = presets.JsonLines(results / JOURNAL, header, options.fresh)
     reused = len(store.rows)
     begin(settings.candidates)
     try:
@@ -109,9 +115,54 @@ def autotune(
     finally:
         store.close()
     record = results / "record.json"
-    presets.write_text(record, presets.json_text(result.record()))
-    presets.write_text(target, presets.toml_text(result.settings.to_dict(), _comment(controller, result, path)))
-    return Tuned(controller, result, target, record, results, reused)
+    text = presets.toml_text(result.settings.to_dict(), _comment(controller, result, path))
+    written = [copy] if kept else [target, copy]
+    _write_all({**dict.fromkeys(written, text), record: presets.json_text(result.record())})
+    return Tuned(controller, result, written[0], record, results, reused, target if kept else None)
+
+
+def _folder(options: AutotuneOptions, default: Path, header: Mapping[str, Any]) -> Path:
+    """The folder of a tuning: of the one that is taken up again, or that nobody has.
+
+    Raises:
+        ConfigError: where another tuning has the one that is given, and it is not to be replaced.
+    """
+    for folder in outputs.numbered(options.folder or default):
+        presets.check_folder(folder)
+        held = presets.JsonLines.header_of(folder / JOURNAL)
+        if (held is None and not (folder / "record.json").exists()) or held == header or options.force:
+            return folder
+        if options.folder is not None:
+            raise ConfigError(
+                f"{folder}: holds another tuning, of other settings or another model ({JOURNAL}); expected another "
+                "folder, or --force to replace its results"
+            )
+    raise AssertionError
+
+
+def _is_anothers(target: Path, copy: Path) -> bool:
+    """Whether settings are there already, and this tuning has not written them so itself."""
+    if not target.exists():
+        return False
+    return not copy.exists() or presets.read_bytes(target) != presets.read_bytes(copy)
+
+
+def _write_all(texts: Mapping[Path, str]) -> None:
+    """Write files; where one cannot be, the others are.
+
+    Raises:
+        ConfigError: that one, and where the first is.
+    """
+    failed, written = list[ConfigError](), list[Path]()
+    for path, text in texts.items():
+        try:
+            presets.write_text(path, text)
+            written.append(path)
+        except ConfigError as error:
+            failed.append(error)
+    if failed:
+        kept = f"; the settings are in {written[0]}" if written and written[0].suffix == ".toml" else ""
+        raise ConfigError(f"{failed[0]}{kept}") from None
 
 
 def tune_pid(

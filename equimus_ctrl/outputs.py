@@ -1,0 +1,116 @@
+"""Where results go: nothing that is there already is written over, unless that is asked for.
+
+Each run has a folder of its own. One that is named by the user has to be free; a default one gets the next free number,
+``hold-pid``, ``hold-pid-2``, and so on. What ``--force`` replaces is what an earlier record says it wrote, no more.
+"""
+
+from __future__ import annotations
+
+import itertools
+import json
+import os
+from collections.abc import Iterable, Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+from equimus_ctrl import presets
+from equimus_ctrl.errors import ConfigError
+
+RECORDS = ("record.json", "score.json", "validation.json")
+"""What the record of a folder of results is called, verb by verb."""
+
+
+class Results:
+    """The folder that one run's results go to, checked before any work.
+
+    Args:
+        given: by the user, if so.
+        force: whether what an earlier run wrote there is replaced.
+
+    Raises:
+        ConfigError: where nothing can be put there, or an earlier run has.
+    """
+
+    def __init__(self, given: Path | None, force: bool = False) -> None:
+        self._given, self._force = given, force
+        if given is None:
+            return
+        presets.check_folder(given)
+        if not force and (held := _records(given)):
+            raise ConfigError(
+                f"{given}: holds the results of an earlier run ({held[0].name}); expected another folder, or --force"
+                " to replace them"
+            )
+
+    def opened(self, default: Path) -> Path:
+        """The folder, empty of earlier results.
+
+        Args:
+            default: where the user named none; numbered from 2 on where it is taken.
+        """
+        if self._given is None and not self._force:
+            return new_folder(default)
+        folder = self._given or default
+        presets.make_folder(folder)
+        _clear(folder)
+        return folder
+
+
+def new_folder(wanted: Path) -> Path:
+    """Make a folder that nobody has yet: as wanted, or with the next free number.
+
+    Raises:
+        ConfigError: where it cannot be made.
+    """
+    presets.make_folder(wanted.parent)
+    for folder in numbered(wanted):
+        try:
+            folder.mkdir()
+        except FileExistsError:
+            continue
+        except OSError as error:
+            raise ConfigError(f"{folder}: cannot be made ({error.strerror or error})") from None
+        return folder
+    raise AssertionError
+
+
+def numbered(path: Path) -> Iterator[Path]:
+    """A path, then ``name-2``, ``name-3`` and so on beside it."""
+    yield path
+    for k in itertools.count(2):
+        yield path.with_name(f"{path.stem}-{k}{path.suffix}")
+
+
+def free_name(path: Path) -> Path:
+    """The first of the numbered names of a file that nothing has."""
+    return next(own for own in numbered(path) if not os.path.lexists(own))
+
+
+def check_new(path: Path, force: bool = False) -> None:
+    """Raise ConfigError where a file that is to be written is there already and is not to be replaced."""
+    if os.path.lexists(path) and not force:
+        raise ConfigError(f"{path}: is there already; expected another name, or --force to replace it")
+
+
+def write_record(folder: Path, name: str, record: Mapping[str, Any], files: Iterable[Path]) -> Path:
+    """Write a folder's record, with the names of the files in it that belong to the same run; its file."""
+    inside = [file.name for file in files if file.parent == folder]
+    presets.write_text(folder / name, presets.json_text({**record, "files": inside}))
+    return folder / name
+
+
+def _records(folder: Path) -> list[Path]:
+    return [path for name in RECORDS if (path := folder / name).exists()]
+
+
+def _clear(folder: Path) -> None:
+    """Take away what the records in a folder say that they belong to, and these."""
+    for record in _records(folder):
+        try:
+            files = json.loads(record.read_text(encoding="utf-8")).get("files", [])
+        except (OSError, ValueError, AttributeError):
+            files = []
+        for file in files if isinstance(files, list) else []:
+            if isinstance(file, str) and file == Path(file).name:
+                (folder / file).unlink(missing_ok=True)
+        record.unlink(missing_ok=True)
