@@ -9,6 +9,7 @@ from search_on_paper import DEAD, OFF, POOL, RUB, STICK, Known, OnPaper, ended, 
 
 from equimus_ctrl.diagnosis import confirmation
 from equimus_ctrl.diagnosis import search as search_module
+from equimus_ctrl.diagnosis.alternatives import with_all_fitted
 from equimus_ctrl.diagnosis.findings import equivalents
 from equimus_ctrl.diagnosis.fitting import Fitted
 from equimus_ctrl.diagnosis.hypothesis import Candidate
@@ -67,6 +68,25 @@ def test_a_law_of_more_dimensions_is_listed_where_chance_would_not_gain_as_much(
     search.data.dimensions = lambda fitted, k, most: 3  # type: ignore[misc, method-assign]
     (others,) = equivalents(search, ended(known, RUB), False, lambda fitted: fitted)
     assert [other.better for other in others] == ([] if better is None else [pytest.approx(better, abs=0.1)])
+
+
+@pytest.mark.parametrize("many_minima", [True, False])
+def test_a_law_that_another_step_of_the_search_has_fitted_is_listed(many_minima: bool) -> None:
+    """Also one that excludes the law named, as a wider one of the same kind does; not one that was rejected."""
+    known = Known({(): 5000.0, (RUB,): 1000.0, (STICK,): 985.0, (OFF,): 1001.0, (RUB, DEAD): 999.0})
+    search = OnPaper(known, SearchSettings(many_minima=many_minima))
+    search.data.dimensions = lambda fitted, k, most: 3  # type: ignore[misc, method-assign]
+    end = replace(ended(known, RUB), alternatives=((),))
+    end = replace(end, tried=end.tried.having(fitted(990.0, STICK), *known.fits.values()))
+
+    def listed_of(end: SearchState) -> list[Fitted]:
+        (others,) = equivalents(search, with_all_fitted(search, end), False, lambda fitted: fitted)
+        return [other.fitted for other in others]
+
+    assert listed_of(end) == [known(STICK), known(OFF)]
+    assert listed_of(end.rejecting([POOL[STICK]])) == [known(OFF)]
+    known_already = replace(end, alternatives=((fitted(990.0, STICK),),))
+    assert {other.deviance for other in listed_of(known_already)} == {990.0, 1001.0}
 
 
 @pytest.mark.parametrize("reason", ["uninformative", "gain"])

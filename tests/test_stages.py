@@ -37,6 +37,10 @@ class Searching:
     data: Any
     pool: Any = ()
 
+    @staticmethod
+    def score(fit: Fitted) -> float:
+        return fit.deviance
+
 
 def trials(*names: str) -> tuple[Any, ...]:
     return tuple(SimpleNamespace(recording=k, recording_name=name) for k, name in enumerate(names))
@@ -302,6 +306,7 @@ def test_alternatives_are_compared_with_the_end_as_they_were_fitted(monkeypatch:
         return ((),)
 
     monkeypatch.setattr(stages, "listed", lambda search, end: end)
+    monkeypatch.setattr(stages, "with_all_fitted", lambda search, end: end)
     monkeypatch.setattr(stages, "equivalents", equivalents)
     own = Searching(SimpleNamespace(converge_finely=lambda fitted: fitted))
     measured = ended(Known({(): 900.0, (RUB,): 100.0}), RUB)

@@ -198,6 +198,24 @@ def listed(search: HypothesisMoves, state: SearchState) -> SearchState:
     return replace(state, alternatives=tuple(alternatives), tried=tried)
 
 
+def with_all_fitted(search: HypothesisMoves, state: SearchState) -> SearchState:
+    """The end, with alternatives of its parts that some other step of the search has fitted, a wider law of one say.
+
+    Of each the best fit.
+    """
+    alternatives = []
+    for part, without, known in zip(state.best.hypothesis, state.without, state.alternatives, strict=True):
+        there = {part.candidate.label, *(other.candidate.label for a in known if (other := replacement(a, without)))}
+        more: dict[str, Fitted] = {}
+        for fitted in sorted(state.tried.fitted, key=search.score):
+            other = replacement(fitted, without)
+            same_beside = len(fitted.hypothesis) == len(state.best.hypothesis) and without.labels < fitted.labels
+            if other and same_beside and other.candidate.label not in there and state.tried.allows([other.candidate]):
+                more.setdefault(other.candidate.label, fitted)
+        alternatives.append((*known, *more.values()))
+    return replace(state, alternatives=tuple(alternatives))
+
+
 def narrowed(search: HypothesisMoves, state: SearchState) -> SearchState:
     """The effect at the fewest places that is not distinguishable; the one at more places becomes an alternative.
 

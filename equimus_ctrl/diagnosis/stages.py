@@ -18,7 +18,7 @@ from functools import cache, partial
 
 import numpy as np
 
-from equimus_ctrl.diagnosis.alternatives import listed
+from equimus_ctrl.diagnosis.alternatives import listed, with_all_fitted
 from equimus_ctrl.diagnosis.budget import BudgetSpent
 from equimus_ctrl.diagnosis.confirmation import Confirmation, best_as_fitted, confirmed, confirmed_as_fitted
 from equimus_ctrl.diagnosis.discretization import step_counted, without_step_error
@@ -397,7 +397,7 @@ def find_alternatives(state: State) -> State:
     which the measured motion leads to what no sensor shows at starts, of the end as of the others.
     """
     search, end = state.compared or (state.search, state.end)
-    end = listed(search, end)
+    end = with_all_fitted(search, listed(search, end))
     finely = cache(search.data.converge_finely)
     found = equivalents(search, end, bool(state.analysis.unexplained), finely)
     listed_end = replace(state.end, alternatives=end.alternatives, tried=end.tried)
