@@ -47,6 +47,10 @@ class HardwareFault(EquimusError):
     """A robot was vented because something was not as it must be."""
 
 
+FAILURES = (Exception, SystemExit)
+"""What a user's code may fail with: ``sys.exit`` as well, or a run would end as if all were well."""
+
+
 class ControllerError(EquimusError):
     """A controller could not be loaded, or returned something that is not a command."""
 

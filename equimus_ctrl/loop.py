@@ -10,7 +10,7 @@ from typing import get_args
 
 import numpy as np
 
-from equimus_ctrl.errors import ConfigError, ControllerError, EquimusError, SimulationDiverged, unknown_name
+from equimus_ctrl.errors import FAILURES, ConfigError, ControllerError, EquimusError, SimulationDiverged, unknown_name
 from equimus_ctrl.robots.reading import command_words, position_word
 from equimus_ctrl.types import Array, Controller, KnowsTruth, Plant, PlantSpec, Reference, Run, Sense, Start
 
@@ -127,7 +127,7 @@ def _blamed(controller: Controller, method: str, at: float) -> Iterator[None]:
         yield
     except EquimusError:
         raise
-    except Exception as error:
+    except FAILURES as error:
         raise ControllerError(
             f"{_name(controller)}.{method} failed at {at:.3f} s: {type(error).__name__}: {error}"
         ) from error
@@ -137,9 +137,14 @@ def wanted_pose(reference: Reference, spec: PlantSpec, at: float) -> Array:
     """(nj,) the reference at a time.
 
     Raises:
-        ConfigError: where it is not one finite angle for each joint.
+        ConfigError: where it fails, or is not one finite angle for each joint.
     """
-    pose = np.asarray(reference.position(at), dtype=np.float64)
+    try:
+        pose = np.asarray(reference.position(at), dtype=np.float64)
+    except EquimusError:
+        raise
+    except FAILURES as error:
+        raise ConfigError(f"the reference fails at {at:.3f} s: {type(error).__name__}: {error}") from error
     if pose.shape != (len(spec.joints),) or not np.all(np.isfinite(pose)):
         wanted = f"one finite {position_word(spec.joint_units)} for each of {', '.join(spec.joints)}"
         raise ConfigError(f"the reference is {pose.tolist()} at {at:.3f} s, expected {wanted}")

@@ -23,7 +23,7 @@ from xml.etree import ElementTree
 
 import tomlkit
 
-from equimus_ctrl.errors import ConfigError, ControllerError, EquimusError, ModelError, unknown_name
+from equimus_ctrl.errors import FAILURES, ConfigError, ControllerError, EquimusError, ModelError, unknown_name
 
 MJCF = (".xml", ".mjcf", ".urdf")
 """What files of robots that MuJoCo loads end with."""
@@ -47,13 +47,16 @@ def read_mjcf(path: Path) -> tuple[str, str, dict[str, bytes]]:
     """
     import mujoco  # takes a while, and few need it here
 
+    from equimus_ctrl.quiet import quietly
+
     if not path.is_file():
         raise ConfigError(f"{path}: there is no such file")
     try:
         text = path.read_text(encoding="utf-8")
         urdf = path.suffix.lower() == ".urdf"
-        spec = mujoco.MjSpec.from_string(_without_shapes(text)) if urdf else mujoco.MjSpec.from_file(str(path))
-        spec.compile()
+        with quietly():  # what is wrong with an XML is told in a sentence
+            spec = mujoco.MjSpec.from_string(_without_shapes(text)) if urdf else mujoco.MjSpec.from_file(str(path))
+            spec.compile()
         # MuJoCo writes numbers to six digits; what includes other files cannot stay as it is.
         xml = spec.to_xml() if urdf or "<include" in text else text
     except (ValueError, mujoco.FatalError, ElementTree.ParseError) as error:
@@ -245,7 +248,7 @@ def load_script(path: Path) -> ModuleType:
         spec.loader.exec_module(module)
     except EquimusError as error:
         raise type(error)(f"{path}: {error}") from error
-    except (Exception, SystemExit) as error:
+    except FAILURES as error:
         raise ConfigError(f"{path}: fails when it is loaded: {type(error).__name__}: {error}") from error
     return module
 

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from equimus_ctrl.controllers.custom import as_controller
-from equimus_ctrl.errors import ConfigError, ControllerError, EquimusError
+from equimus_ctrl.errors import FAILURES, ConfigError, ControllerError, EquimusError
 from equimus_ctrl.loop import checked_command
 from equimus_ctrl.models.model import nominal_model
 from equimus_ctrl.plants.mujoco_plant import MujocoPlant
@@ -143,7 +143,7 @@ def _sentence(call: Callable[[], Any], what: str) -> Any:
         return call()
     except EquimusError:
         raise
-    except Exception as error:
+    except FAILURES as error:
         raise ControllerError(f"{what} fails: {type(error).__name__}: {error}") from error
 
 

@@ -13,7 +13,7 @@ ROOT = Path(__file__).resolve().parents[1] / "equimus_ctrl"
 
 ORDER: tuple[tuple[str, ...], ...] = (
     ("errors", "computer"),
-    ("types", "settings", "registry"),
+    ("types", "settings", "registry", "quiet"),
     ("presets",),
     ("outputs",),
     ("effects", "recordings"),

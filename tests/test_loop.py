@@ -216,6 +216,20 @@ def test_a_controller_that_fails_is_named_with_the_time_and_the_reason(method: s
     assert isinstance(caught.value.__cause__, ZeroDivisionError)
 
 
+def test_a_controller_that_would_end_the_program_is_one_that_fails() -> None:
+    def leave(k: int) -> Any:
+        sys.exit(0)
+
+    with pytest.raises(ControllerError, match=r"^leaving.step failed at 0.000 s: SystemExit: 0$"):
+        run(Scripted(), Echo(leave, name="leaving"), HOLD, 1.0)
+
+
+def test_a_reference_that_fails_is_told_with_the_time() -> None:
+    reference = FunctionReference(lambda time: np.array([1.0, 1 / (0.2 - time)]) if time < 0.15 else sys.exit(1))
+    with pytest.raises(ConfigError, match=r"^the reference fails at 0.200 s: SystemExit: 1$"):
+        run(Scripted(), Echo(lambda k: [0, 0]), reference, 1.0)
+
+
 def test_a_controllers_own_sentence_comes_through() -> None:
     def refuse(k: int) -> Any:
         raise ConfigError("the gains of this controller are missing")

@@ -356,9 +356,15 @@ SICK = {
 
 
 @pytest.mark.parametrize("what", SICK)
-def test_numbers_that_are_none_are_refused(what: str) -> None:
+def test_numbers_that_are_none_are_refused(what: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Without a word of MuJoCo's own, in its log or on the screen."""
+    monkeypatch.chdir(tmp_path)
     option, told = SICK[what]
-    assert told in refusal(lambda: MjcfRobot("cart", slider().replace("<worldbody>", f"<option {option}/><worldbody>")))
+    text = slider().replace("<worldbody>", f"<option {option}/><worldbody>")
+    assert told in refusal(lambda: MjcfRobot("cart", text))
+    (tmp_path / "cart.xml").write_text(text)
+    assert told in refusal(lambda: load_mjcf(tmp_path / "cart.xml"))
+    assert [path.name for path in tmp_path.iterdir()] == ["cart.xml"]
 
 
 def test_a_joint_without_an_axis_or_with_no_stiffness_is_told_by_its_name() -> None:

@@ -27,6 +27,7 @@ from equimus_ctrl.effects import (
     TransportDelay,
 )
 from equimus_ctrl.engines.base import EngineName
+from equimus_ctrl.engines.choice import engine_for
 from equimus_ctrl.engines.predict import check_columns, local_motion, measured_start, predict
 from equimus_ctrl.engines.trials import Trial
 from equimus_ctrl.errors import ConfigError, SimulationDiverged
@@ -483,3 +484,15 @@ def test_a_motion_read_off_late_in_a_trial_is_that_of_its_parabola() -> None:
     part = Trial.of(recorded, position, (at, 4.5))
     assert part.start == at and at <= part.sample_times[0] < at + 0.02 and part.sample_times[-1] == pytest.approx(4.5)
     assert Trial.of(recorded, x0, (0.0, 4.0)).start == 3.0, "no earlier than what was recorded"
+
+
+@pytest.mark.parametrize("engine", ["reduced", "mujoco"])
+def test_a_trial_of_more_steps_than_memory_holds_is_refused_before_any_is_taken(engine: EngineName) -> None:
+    """A wrong time in a command history that nobody read from a file."""
+    model, pose = Model(nominal_leg()), np.array([1.5, 0.1])
+    times, ends = np.array([0.0]), np.array([0.5, 1e6])
+    trial = Trial("long", times, np.zeros((1, 2)), np.zeros(2), 0.0, pose, ends)
+    with pytest.raises(
+        ConfigError, match=r"^long: 1e\+06 s take .* physics steps of .* s, expected at most 20,000,000"
+    ):
+        engine_for(model, engine).simulate([model], [trial], [pose[None]])

@@ -6,7 +6,7 @@ import threading
 
 import mujoco
 
-from equimus_ctrl.models.quiet import quietly
+from equimus_ctrl.quiet import quietly
 
 
 def test_mujoco_is_quiet_until_the_last_thread_has_left_and_heard_as_before_then() -> None:

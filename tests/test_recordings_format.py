@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 
 from equimus_ctrl.errors import ConfigError, RecordingError
 from equimus_ctrl.recordings import Limits, RecordingWarning, read
+from equimus_ctrl.types import Array
 
 HEADER = "time,cmd.maa,cmd.baa,pos.hip,pos.knee"
 VALID = f"""# source = a test
@@ -320,3 +321,26 @@ def test_corruption_is_reported_or_harmless(tmp_path: Path, data: st.DataObject)
         assert str(error).startswith(str(path)) and str(error).isprintable()
     else:
         assert np.isfinite(recording.position).all() and (np.diff(recording.time) > 0).all()
+
+
+def test_a_gap_that_is_most_of_a_recording_is_refused(tmp_path: Path) -> None:
+    """A wrong time in the last row, or two recordings in one file; a pause shorter than what was recorded is none."""
+    times = np.arange(101) * 0.01
+
+    def text(time: Array) -> str:
+        rows = "".join(f"{at!r},0,0,1.5,0.1\n" for at in time.tolist())
+        return "time,cmd.maa,cmd.baa,pos.hip,pos.knee\n" + rows
+
+    path = tmp_path / "gap.csv"
+    path.write_text(text(np.append(times, 200000.0)))
+    with pytest.raises(RecordingError) as caught:
+        read(path)
+    assert str(caught.value) == (
+        f"{path}, row 103, column time: nothing was recorded for 199999 s before 200000 s, where rows are 0.01 s "
+        "apart; these are several recordings, or one with a wrong time"
+    )
+    path.write_text(text(np.append(times, times + 2.5)))
+    assert len(read(path).time) == 202
+    path.write_text(text(np.append(times, times + 4.0)))
+    with pytest.raises(RecordingError, match=r"row 103, column time: nothing was recorded for 3 s before 4 s"):
+        read(path)

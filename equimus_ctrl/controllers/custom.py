@@ -9,7 +9,7 @@ from typing import Any
 
 from numpy.typing import ArrayLike
 
-from equimus_ctrl.errors import ControllerError, EquimusError
+from equimus_ctrl.errors import FAILURES, ControllerError, EquimusError
 from equimus_ctrl.types import Controller, Observation, PlantSpec, Reference
 
 
@@ -74,7 +74,7 @@ def as_controller(thing: Any, name: str) -> Controller:
             thing = thing()
         except EquimusError:
             raise
-        except Exception as error:
+        except FAILURES as error:
             raise ControllerError(f"{name}: fails when it is made: {type(error).__name__}: {error}") from error
     if callable(getattr(thing, "init", None)) and callable(getattr(thing, "step", None)):
         controller: Controller = thing

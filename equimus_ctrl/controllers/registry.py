@@ -16,7 +16,7 @@ from equimus_ctrl.controllers.sampling import SamplingController
 from equimus_ctrl.controllers.sampling_settings import SamplingSettings
 from equimus_ctrl.controllers.search_space import Search
 from equimus_ctrl.controllers.searched import lqr_space, nmpc_space, placed_space, sampling_space
-from equimus_ctrl.errors import ConfigError, ControllerError, EquimusError
+from equimus_ctrl.errors import FAILURES, ConfigError, ControllerError, EquimusError
 from equimus_ctrl.registry import Registry
 from equimus_ctrl.robots.base import Need, Robot
 from equimus_ctrl.settings import FileSettings
@@ -87,7 +87,7 @@ class ControllerEntry:
             return self.make(given)
         except EquimusError:
             raise
-        except Exception as error:
+        except FAILURES as error:
             raise ControllerError(f"{given.where}: fails when it is made: {type(error).__name__}: {error}") from error
 
     def lacks(self, robot: Robot, commands: bool = False) -> str:

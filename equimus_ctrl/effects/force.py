@@ -20,7 +20,7 @@ from equimus_ctrl.effects.description import CURVE_MARGIN, CURVE_POINTS, Curve, 
 from equimus_ctrl.effects.excitation import Excitation
 from equimus_ctrl.effects.native import add_spring
 from equimus_ctrl.effects.sizes import Share, Size
-from equimus_ctrl.errors import ConfigError
+from equimus_ctrl.errors import FAILURES, ConfigError
 
 Parameters = Mapping[str, ca.SX]
 
@@ -114,7 +114,7 @@ class ForceEffect(Effect):
             terms = (force, most, more)
             symbols = [x, rate, speed, z, ca.vertcat(*p.values())]
             law = ca.Function("law", symbols, [*map(ca.SX, terms), ca.vertcat(*rates), ca.vertcat(*rests)])
-        except Exception as error:
+        except FAILURES as error:
             reason = (str(error).strip() or "no reason given").splitlines()[-1]
             raise ConfigError(
                 f"{who}: its law is no CasADi expression of its arguments, with casadi.if_else for conditions "

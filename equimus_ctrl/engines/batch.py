@@ -20,7 +20,7 @@ from equimus_ctrl.engines.hidden import Commands, first_activations, lead, led_s
 from equimus_ctrl.engines.lane_functions import LANES
 from equimus_ctrl.engines.limits import MOST_DIVISOR
 from equimus_ctrl.engines.steps import warn_if_coarse
-from equimus_ctrl.engines.trials import Predicted, Trial
+from equimus_ctrl.engines.trials import Predicted, Trial, check_size
 from equimus_ctrl.errors import ConfigError
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.robots.elastic.morphology import elastic_of
@@ -81,6 +81,7 @@ def _simulated(
 ) -> list[Predicted]:
     if not models:
         raise ConfigError("no model was given to simulate")
+    check_size(trials, dt)
     k, nj = len(models), len(models[0].robot.joint_names)
     for model in models:
         same = model.robot.joint_names, model.robot.actuator_names, model.phase

@@ -24,3 +24,6 @@ SLIDING = 1e-6
 REMEMBERED = 24.0
 """How much of a recording leads at least to a start inside of it, or all that there is [s]: three times the longest
 shooting interval, so that of a state that changes more slowly than over one a twentieth is left of how it began."""
+
+MOST_STEPS = 20_000_000
+"""Physics steps of a trial: 11 hours by 2 ms. What follows its motion takes memory for each."""

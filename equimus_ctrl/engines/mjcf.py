@@ -22,12 +22,13 @@ from equimus_ctrl.engines.mjcf_commands import integrate_from_here, integrate_si
 from equimus_ctrl.engines.mjcf_kernel import drive_forces
 from equimus_ctrl.engines.mjcf_lead import Hidden, Leader, remembers
 from equimus_ctrl.engines.mjcf_realised import Realised, function_address, realise, scratch, stepped_laws
-from equimus_ctrl.engines.trials import Condition, Predicted, Trial
+from equimus_ctrl.engines.trials import Condition, Predicted, Trial, check_size
 from equimus_ctrl.errors import ConfigError
 from equimus_ctrl.models.model import Model
-from equimus_ctrl.models.quiet import quietly
+from equimus_ctrl.quiet import quietly
 from equimus_ctrl.robots.mjcf.entries import Drive
 from equimus_ctrl.robots.mjcf.parts import hook_of
+from equimus_ctrl.robots.mjcf.robot import mjcf_of
 from equimus_ctrl.types import Array
 
 SETTLED = 10.0
@@ -370,6 +371,7 @@ def simulate_mjcf(
     """
     if dt is not None and not 0 < dt < float("inf"):
         raise ConfigError(f"the physics step is {dt:g} s, expected more than 0")
+    check_size(trials, dt or mjcf_of(models[0].robot).timestep)
     nj, k = len(models[0].robot.joint_names), len(models)
     results = [Predicted.empty(k, trial, nj) for trial in trials]
     histories: dict[tuple[int, tuple[Effect, ...], bytes, float], Array] = {}

@@ -32,7 +32,7 @@ from equimus_ctrl.engines.mjcf_realised import Realised, function_address, reali
 from equimus_ctrl.engines.trials import Condition, Trial
 from equimus_ctrl.models.augmented import state_change
 from equimus_ctrl.models.model import Model
-from equimus_ctrl.models.quiet import quietly
+from equimus_ctrl.quiet import quietly
 from equimus_ctrl.types import Array
 
 STILL = 3.0

@@ -15,7 +15,7 @@ from equimus_ctrl.engines.motion import Inner, Motion, hermite_arrays
 from equimus_ctrl.engines.trials import Condition, Trial
 from equimus_ctrl.errors import ConfigError, SimulationDiverged
 from equimus_ctrl.models.model import Model
-from equimus_ctrl.models.quiet import quietly
+from equimus_ctrl.quiet import quietly
 from equimus_ctrl.types import Array
 
 SMALL = 1e-3

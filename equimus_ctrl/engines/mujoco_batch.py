@@ -24,7 +24,7 @@ from equimus_ctrl.models.mjcf import (
     element_slides,
     stop_tendon,
 )
-from equimus_ctrl.models.quiet import quietly
+from equimus_ctrl.quiet import quietly
 from equimus_ctrl.robots.elastic.morphology import BASE, JointStop, Morphology, Phase, pack, structure
 from equimus_ctrl.types import Array
 

@@ -18,12 +18,12 @@ from equimus_ctrl.engines.limits import MAX_SPEED
 from equimus_ctrl.engines.mujoco_batch import FAST_SETTINGS, MujocoBatch, near_stop, stop_divisor
 from equimus_ctrl.engines.mujoco_forces import ForceStepper
 from equimus_ctrl.engines.steps import step_divisor, warn_if_coarse
-from equimus_ctrl.engines.trials import Predicted, Trial
+from equimus_ctrl.engines.trials import Predicted, Trial, check_size
 from equimus_ctrl.errors import ConfigError
 from equimus_ctrl.models.kinematics import Kinematics
 from equimus_ctrl.models.mjcf import SolverSettings, compile_model, place
 from equimus_ctrl.models.model import Model
-from equimus_ctrl.models.quiet import step_quietly
+from equimus_ctrl.quiet import step_quietly
 from equimus_ctrl.robots.elastic.morphology import Morphology
 from equimus_ctrl.types import Array
 
@@ -68,6 +68,7 @@ def simulate_mujoco(
     if settings is None:
         divisor = step_divisor(robots[0], models[0].phase, poses, FAST_SETTINGS.timestep)
         settings = replace(FAST_SETTINGS, timestep=FAST_SETTINGS.timestep / divisor)
+    check_size(trials, settings.timestep)
     batch = MujocoBatch.of(robots, models[0].phase, settings, threads)
     results = [
         _one_trial(models, robots, batch, trial, None if starts is None else starts[k], len(m.joints))

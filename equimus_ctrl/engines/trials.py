@@ -10,6 +10,7 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from equimus_ctrl.engines.limits import MOST_STEPS
 from equimus_ctrl.errors import ConfigError
 from equimus_ctrl.recordings.smoothing import RecordedMotion
 from equimus_ctrl.robots.base import Robot
@@ -252,3 +253,15 @@ class Predicted:
     def sound(self) -> NDArray[np.bool_]:
         """(k,) which models went through without diverging."""
         return np.asarray(self.reached == self.position.shape[1])
+
+
+def check_size(trials: Sequence[Trial], dt: float) -> None:
+    """Raise ConfigError where a trial takes more steps of ``dt`` [s] than there may be, before memory is taken."""
+    for trial in trials:
+        end = float(trial.sample_times[-1]) if len(trial.sample_times) else trial.start
+        begin = min(trial.start, float(trial.times[0]))
+        if not (end - begin) / dt <= MOST_STEPS:
+            raise ConfigError(
+                f"{trial.name}: {end - begin:g} s take {(end - begin) / dt:.3g} physics steps of {dt:g} s, expected at "
+                f"most {MOST_STEPS:,}; cut it to a window"
+            )

@@ -21,8 +21,8 @@ from equimus_ctrl.engines.rest import rest_pose
 from equimus_ctrl.models.kinematics import Kinematics
 from equimus_ctrl.models.mjcf import compile_model, place
 from equimus_ctrl.models.model import Model
-from equimus_ctrl.models.quiet import step_quietly
 from equimus_ctrl.plants.loads import numbers_of
+from equimus_ctrl.quiet import step_quietly
 from equimus_ctrl.types import Array
 
 

@@ -19,8 +19,8 @@ from equimus_ctrl.engines.mjcf_realised import LOST, function_address, realise
 from equimus_ctrl.errors import ConfigError, NotAvailable
 from equimus_ctrl.models.dynamics import Dynamics
 from equimus_ctrl.models.model import Model
-from equimus_ctrl.models.quiet import quietly
 from equimus_ctrl.plants.loads import numbers_of
+from equimus_ctrl.quiet import quietly
 from equimus_ctrl.robots.mjcf.robot import mjcf_of
 from equimus_ctrl.types import Array
 

@@ -27,7 +27,7 @@ from equimus_ctrl.errors import ConfigError, NotAvailable
 from equimus_ctrl.models.augmented import augmented_model, law_parameters
 from equimus_ctrl.models.buffered import Buffered
 from equimus_ctrl.models.model import Model
-from equimus_ctrl.models.quiet import quietly
+from equimus_ctrl.quiet import quietly
 from equimus_ctrl.types import Array
 
 ENGINES = ("auto", "exact", "mujoco")

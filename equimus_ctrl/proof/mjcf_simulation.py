@@ -32,11 +32,11 @@ from equimus_ctrl.identification.noise import JointNoise
 from equimus_ctrl.identification.simulators import Simulator
 from equimus_ctrl.models.buffered import Buffered
 from equimus_ctrl.models.model import Model
-from equimus_ctrl.models.quiet import quietly
 from equimus_ctrl.proof.drawing import Excess, GroundTruth, recordings_of
 from equimus_ctrl.proof.outside import Motion, MotionEffect
 from equimus_ctrl.proof.strength import rounded
 from equimus_ctrl.proof.tracking import Tracking
+from equimus_ctrl.quiet import quietly
 from equimus_ctrl.robots.mjcf.parts import harden
 from equimus_ctrl.robots.mjcf.robot import mjcf_of
 from equimus_ctrl.types import Array, Recording

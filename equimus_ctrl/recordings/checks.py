@@ -13,6 +13,8 @@ from equimus_ctrl.errors import ConfigError
 from equimus_ctrl.recordings.sheet import Sheet, number
 from equimus_ctrl.types import Array, Recording
 
+GAP = 100
+"""So many usual times between rows without one are a gap."""
 MANY_TURNS = 4.0
 """Of a hinge about zero; it may turn without end, but most that is said to go farther is in degrees."""
 
@@ -100,6 +102,21 @@ def check_time(sheet: Sheet, column: str, time: Array, limits: Limits) -> None:
             "times must ascend",
         )
     check_interval(sheet, column, steps, limits)
+    check_gaps(sheet, column, time)
+
+
+def check_gaps(sheet: Sheet, column: str, time: Array) -> None:
+    """Raise RecordingError where there are no rows for more than half of the time; the longest gap is told."""
+    steps = np.diff(time)
+    gaps = steps > GAP * np.median(steps)
+    if steps[gaps].sum() > (time[-1] - time[0]) / 2:
+        row = int(np.argmax(steps)) + 1
+        raise sheet.error(
+            row,
+            column,
+            f"nothing was recorded for {number(steps[row - 1])} s before {number(time[row])} s, where rows are "
+            f"{number(float(np.median(steps)))} s apart; these are several recordings, or one with a wrong time",
+        )
 
 
 def check_interval(sheet: Sheet, column: str, steps: Array, limits: Limits) -> None:

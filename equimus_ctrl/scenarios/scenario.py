@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from equimus_ctrl.errors import ConfigError, EquimusError, unknown_name
+from equimus_ctrl.errors import FAILURES, ConfigError, EquimusError, unknown_name
 from equimus_ctrl.plants.events import Event, Load
 from equimus_ctrl.robots.reading import position_word, reading
 from equimus_ctrl.scenarios.context import POSITION, out_of_range
@@ -178,14 +178,16 @@ def build_scenario(
 
     try:
         return built(values)
-    except Exception as error:
+    except FAILURES as error:
         said = "".join(f" with {key} = {(options or {})[key]}" for key in _at_fault(built, values, error))
         if isinstance(error, EquimusError):
             raise type(error)(f"{where}{said}: {error}" if where or said else str(error)) from None
         raise ConfigError(f"{where}{said}: build fails: {type(error).__name__}: {error}") from error
 
 
-def _at_fault(built: Callable[[Mapping[str, Any]], Scenario], values: Mapping[str, Any], error: Exception) -> list[str]:
+def _at_fault(
+    built: Callable[[Mapping[str, Any]], Scenario], values: Mapping[str, Any], error: BaseException
+) -> list[str]:
     """Options without which a scenario would not fail, or not in this way; of none, if none alone is at fault."""
     if len(values) < 2:
         return list(values)
@@ -193,7 +195,7 @@ def _at_fault(built: Callable[[Mapping[str, Any]], Scenario], values: Mapping[st
     for key in values:
         try:
             built({other: value for other, value in values.items() if other != key})
-        except Exception as other:
+        except FAILURES as other:
             if str(other) == str(error):
                 continue
         found.append(key)

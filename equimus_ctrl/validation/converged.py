@@ -22,7 +22,7 @@ from mujoco.rollout import rollout
 from scipy.integrate import DOP853
 
 from equimus_ctrl.errors import ConfigError, ModelError, SimulationDiverged
-from equimus_ctrl.models.quiet import quietly
+from equimus_ctrl.quiet import quietly
 from equimus_ctrl.types import Array
 
 LONGEST = 0.01

@@ -10,7 +10,7 @@ import mujoco
 import numpy as np
 
 from equimus_ctrl.errors import ConfigError, ModelError, SimulationDiverged
-from equimus_ctrl.models.quiet import quietly
+from equimus_ctrl.quiet import quietly
 from equimus_ctrl.types import Array
 from equimus_ctrl.validation.converged import (
     Converged,

@@ -13,6 +13,7 @@ import mujoco
 import numpy as np
 
 from equimus_ctrl.errors import ModelError
+from equimus_ctrl.quiet import quietly
 from equimus_ctrl.robots.mjcf.actuators import drive_parameters, drives_of
 from equimus_ctrl.robots.mjcf.editing import name_actuators
 from equimus_ctrl.robots.mjcf.entries import SLIDING, Axis, Drive, ModelParameter, Tie, setter
@@ -83,7 +84,8 @@ def _compiled(xml: str, assets: Assets, name: str) -> Any:
 
 def spec_of(xml: str, assets: Assets) -> Any:
     """MuJoCo's specification of a file."""
-    spec = mujoco.MjSpec.from_string(xml, assets=dict(assets.files))
+    with quietly():  # what is wrong with a number is told in a sentence
+        spec = mujoco.MjSpec.from_string(xml, assets=dict(assets.files))
     name_actuators(spec)
     for body in spec.bodies:
         body.simple = False  # what is balanced now may be unbalanced by a payload
