@@ -303,14 +303,17 @@ def tuned(
     if file is not None and file.exists():
         return eq.PidSettings.from_dict(presets.read_toml(file), str(file))
     study = study_from_dict(presets.read_toml(ROOT / "tuning" / "pid_any.toml"), "pid_any.toml")
-    study = replace(study, candidates=candidates, seed=seed, ensemble=replace(study.ensemble, unseen=0))
+    study = replace(
+        study, candidates=candidates, seed=seed, ensemble=replace(study.ensemble, unseen=0),
+        settings={**study.settings, **fed},
+    )  # fmt: skip
     scenarios = [load_scenario(own.scenario, model.robot, search=False) for own in study.objectives]
     problem = make_plant_problem(study, model, scenarios)
-    problem = replace(problem, placed=replace(problem.placed, **fed))
     try:
-        settings = tune_on_plant(study, problem, RowJournal(Memory()), workers=1).settings
+        found = tune_on_plant(study, problem, RowJournal(Memory()), workers=1).settings
     except NothingFeasible:
-        settings = problem.settings(np.ones(4))
+        found = problem.first
+    settings = eq.PidSettings.from_dict(found.to_dict())
     if file is not None:
         presets.write_text(file, presets.toml_text(settings.to_dict(), f"{model.name}, {candidates} candidates"))
     return settings

@@ -10,6 +10,9 @@ import difflib
 from collections.abc import Iterable
 from typing import Any
 
+MOST_SAID = 2000
+"""Characters of a message."""
+
 
 class EquimusError(Exception):
     """Root of all errors raised on purpose by this package."""
@@ -57,6 +60,18 @@ class ControllerError(EquimusError):
 
 class NotAvailable(EquimusError):
     """Something optional (a recording, a renderer, an extra package) is not there."""
+
+
+def one_line(text: str) -> str:
+    """A sentence as one line of what can be printed, its middle left out where it is longer than anybody reads.
+
+    What a message quotes may be anybody's: several lines of another program's words, or a value of megabytes.
+    """
+    half = MOST_SAID // 2
+    if len(text) > MOST_SAID:
+        text = f"{text[:half]} … ({len(text) - 2 * half} characters) … {text[-half:]}"
+    line = " ".join(text.split())
+    return "".join(ch if ch.isprintable() else ch.encode("unicode_escape").decode() for ch in line)
 
 
 def nearest(name: str, known: Iterable[str]) -> str:

@@ -6,11 +6,14 @@ package carries. What is written goes to the current folder, or to the checkout 
 
 from __future__ import annotations
 
+import ast
+import errno
 import importlib.util
 import json
 import logging
 import math
 import os
+import stat
 import sys
 import tempfile
 import tomllib
@@ -49,10 +52,8 @@ def read_mjcf(path: Path) -> tuple[str, str, dict[str, bytes]]:
 
     from equimus_ctrl.quiet import quietly
 
-    if not path.is_file():
-        raise ConfigError(f"{path}: there is no such file")
     try:
-        text = path.read_text(encoding="utf-8")
+        text = read_bytes(path).decode("utf-8")
         urdf = path.suffix.lower() == ".urdf"
         with quietly():  # what is wrong with an XML is told in a sentence
             spec = mujoco.MjSpec.from_string(_without_shapes(text)) if urdf else mujoco.MjSpec.from_file(str(path))
@@ -131,11 +132,11 @@ def read_toml(path: Path) -> dict[str, Any]:
         ConfigError: where it cannot be read or is not TOML.
     """
     try:
-        return tomllib.loads(path.read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        raise ConfigError(f"{path}: there is no such file") from None
-    except (OSError, UnicodeDecodeError) as error:
+        return tomllib.loads(read_bytes(path).decode("utf-8").replace("\r\n", "\n"))
+    except UnicodeDecodeError as error:
         raise ConfigError(f"{path}: cannot be read ({error})") from None
+    except RecursionError:
+        raise ConfigError(f"{path}: is nested too deeply to be read") from None
     except tomllib.TOMLDecodeError as error:
         raise ConfigError(f"{path}: is not valid TOML: {error}") from None
 
@@ -152,11 +153,19 @@ def read_bytes(path: Path) -> bytes:
         ConfigError: where it cannot be read.
     """
     try:
+        check_regular(path)
         return path.read_bytes()
     except FileNotFoundError:
         raise ConfigError(f"{path}: there is no such file") from None
     except OSError as error:
-        raise ConfigError(f"{path}: cannot be read ({error})") from None
+        raise ConfigError(f"{path}: cannot be read ({error.strerror or error})") from None
+
+
+def check_regular(path: Path) -> None:
+    """Raise OSError where a path is no file with an end: a pipe or a device may never come to one."""
+    mode = path.stat().st_mode
+    if not (stat.S_ISREG(mode) or stat.S_ISDIR(mode)):
+        raise OSError(errno.EINVAL, "it is a pipe or a device, expected a file")
 
 
 def toml_text(data: Mapping[str, Any], comment: str = "") -> str:
@@ -194,11 +203,20 @@ def write_bytes(path: Path, data: bytes) -> None:
 
 def check_folder(path: Path) -> None:
     """Raise ConfigError where nothing can be put into a folder: a file is in its place, or it may not be written to."""
-    there = next((p for p in (path, *path.parents) if p.exists()), None)
+    try:
+        there = next((p for p in (path, *path.parents) if p.exists()), None)
+    except OSError as error:  # a name too long, or a loop of links
+        raise ConfigError(f"{path}: is no folder and cannot become one ({error.strerror or error})") from None
     if there is not None and not there.is_dir():
         raise ConfigError(f"{path}: is no folder and cannot become one ({there} is a file)")
-    if there is not None and not os.access(there, os.W_OK | os.X_OK):
+    if there is None:
+        return
+    if not os.access(there, os.W_OK | os.X_OK):
         raise ConfigError(f"{path}: nothing can be written there ({there} may not be written to)")
+    try:
+        tempfile.TemporaryFile(dir=there).close()
+    except OSError as error:
+        raise ConfigError(f"{path}: nothing can be written there ({there}: {error.strerror or error})") from None
 
 
 def check_toml(path: Path) -> None:
@@ -251,6 +269,56 @@ def load_script(path: Path) -> ModuleType:
     except FAILURES as error:
         raise ConfigError(f"{path}: fails when it is loaded: {type(error).__name__}: {error}") from error
     return module
+
+
+def described_function(path: Path, name: str) -> tuple[str, dict[str, Any], bool]:
+    """What a Python file says of itself and of one of its functions, without running it.
+
+    Returns:
+        The first paragraph of its docstring as one line, each of the function's parameters with its default (None
+        without one, its text where it has to be computed), and whether it takes any others.
+
+    Raises:
+        ConfigError: where it cannot be read, is no Python, or has no such function.
+    """
+    try:
+        tree = ast.parse(read_bytes(path), str(path))
+    except (SyntaxError, ValueError, RecursionError) as error:
+        raise ConfigError(f"{shown(path)}: is no Python file ({error})") from None
+    found = [node for node in tree.body if isinstance(node, ast.FunctionDef) and node.name == name]
+    if not found:
+        raise ConfigError(f"{shown(path)}: has no function {name}")
+    known: dict[str, ast.expr] = {}
+    for node in tree.body:
+        if isinstance(node, ast.Assign):
+            for target in node.targets:
+                known |= _named(target, node.value)
+    given = found[-1].args
+    usual = [*[None] * (len(given.args) - len(given.defaults)), *given.defaults]
+    pairs = [*zip(given.args, usual, strict=True), *zip(given.kwonlyargs, given.kw_defaults, strict=True)]
+    options = {arg.arg: _literal(default, known) for arg, default in pairs}
+    summary = (ast.get_docstring(tree) or "").partition("\n\n")[0].replace("\n", " ")
+    return summary, options, given.kwarg is not None
+
+
+def _named(target: ast.expr, value: ast.expr) -> dict[str, ast.expr]:
+    """What an assignment gives names to, of tuples on both sides each of theirs."""
+    if isinstance(target, ast.Name):
+        return {target.id: value}
+    if isinstance(target, ast.Tuple) and isinstance(value, ast.Tuple) and len(target.elts) == len(value.elts):
+        pairs = [_named(*pair) for pair in zip(target.elts, value.elts, strict=True)]
+        return {name: own for pair in pairs for name, own in pair.items()}
+    return {}
+
+
+def _literal(node: ast.expr | None, known: Mapping[str, ast.expr]) -> Any:
+    """A default's value, also where the file names it; its text where it has to be computed."""
+    if node is None:
+        return None
+    try:
+        return ast.literal_eval(known.get(node.id, node) if isinstance(node, ast.Name) else node)
+    except ValueError:
+        return ast.unparse(node)
 
 
 def load_scenario(name: str, others: Iterable[str] = ()) -> tuple[Callable[..., Any], str]:

@@ -21,6 +21,7 @@ from equimus_ctrl.effects.force import CoulombFriction
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.recordings.csvfile import write
 from equimus_ctrl.robots.mjcf.robot import MjcfRobot
+from equimus_ctrl.workflow import load_model
 
 ROOT = Path(__file__).resolve().parents[1]
 
@@ -131,6 +132,17 @@ def test_controllers_are_driven_and_scored_alike_whoever_wrote_them(
     assert done is not None and len(done.time) == 300
     idle = dataclasses.replace(short, makers={"idle": lambda seed: lambda observation, reference: np.zeros(1)})
     assert works.driven(idle, "idle", work.model, 0, 0)[0].failure == "not there by the end"
+
+
+@pytest.mark.slow
+def test_the_pid_beside_others_is_tuned_and_kept(
+    benchmark_modules: Callable[[str], ModuleType], tmp_path: Path
+) -> None:
+    works = benchmark_modules("_controller_works")
+    model, fed = load_model(ROOT / "docs" / "examples" / "pendulum.xml"), {"feedforward": False, "inverse": False}
+    found = works.tuned(model, fed, 2, 0, tmp_path / "gains.toml")
+    assert found.gains["hinge"].kp > 0 and not found.feedforward and not found.inverse
+    assert works.tuned(model, {}, 2, 0, tmp_path / "gains.toml") == found, "read again"
 
 
 def test_masses_differ_and_commands_are_late_where_a_work_says_so(

@@ -56,8 +56,11 @@ def people() -> Console:
 
 def print_json(value: Any) -> None:
     """JSON on standard output."""
+    from equimus_ctrl.errors import ConfigError
     from equimus_ctrl.presets import json_text
 
+    if sys.stdout is None:
+        raise ConfigError("standard output is closed; JSON is printed there")
     sys.stdout.write(json_text(value))
 
 

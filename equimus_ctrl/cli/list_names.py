@@ -102,7 +102,9 @@ def _parameters(model: Path | None, write: Path | None, force: bool) -> list[dic
 
 def _rows(kind: Kind) -> list[dict[str, Any]]:
     if kind is Kind.scenarios:
-        return _scenarios()
+        from equimus_ctrl.workflow import listed_scenarios
+
+        return listed_scenarios()
     if kind is Kind.controllers:
         from equimus_ctrl.controllers.registry import CONTROLLERS
 
@@ -166,11 +168,3 @@ def _whose(robots: tuple[str, ...]) -> str:
     if "mjcf" not in robots:
         return ""
     return ", also MuJoCo's XML" if "elastic" in robots else ", MuJoCo's XML alone"
-
-
-def _scenarios() -> list[dict[str, Any]]:
-    from equimus_ctrl.workflow import scenario_entries
-
-    return [
-        {"name": name, "summary": entry.summary, "options": entry.options} for name, entry in scenario_entries().items()
-    ]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import os
 import sys
 import warnings
 from typing import Annotated
@@ -25,7 +26,7 @@ from equimus_ctrl.cli import (
     validate,
 )
 from equimus_ctrl.computer import keep_freed_memory
-from equimus_ctrl.errors import EquimusError
+from equimus_ctrl.errors import EquimusError, one_line
 
 EXIT_CODES = """\
 [bold]Exit codes[/bold]  0 done · 1 a fault of the program · 2 something given is wrong or missing ·
@@ -86,8 +87,17 @@ def main(arguments: list[str] | None = None) -> int:
     except SystemExit as stop:
         return stop.code if isinstance(stop.code, int) else int(stop.code is not None)
     except EquimusError as error:
-        print(f"equimus-ctrl: {error}", file=sys.stderr)
+        print(f"equimus-ctrl: {one_line(str(error))}", file=sys.stderr)
         return 3 if type(error).__name__ in ("NothingFeasible", "SimulationDiverged", "HardwareFault") else 2
+    except OSError as error:  # a name too long, a loop of links, a full disk: of whatever path, whatever the verb
+        where = "" if error.filename is None else f"{error.filename}: "
+        print(f"equimus-ctrl: {one_line(where + (error.strerror or str(error)))}", file=sys.stderr)
+        return 2
+    except RuntimeError as error:
+        if not str(error).startswith("Symlink loop"):  # pathlib's word for what the system calls an OSError
+            raise
+        print(f"equimus-ctrl: {one_line(str(error))}", file=sys.stderr)
+        return 2
     return 0
 
 
@@ -106,4 +116,12 @@ def _show_warning(message: Warning | str, category: type[Warning], filename: str
 def entry() -> None:
     """The console script."""
     keep_freed_memory()
-    sys.exit(main())
+    code = main()
+    try:
+        if sys.stdout is not None:
+            sys.stdout.flush()
+    except OSError as error:
+        print(f"equimus-ctrl: standard output cannot be written ({error.strerror or error})", file=sys.stderr)
+        code = code or 2
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # what is left there is not tried again
+    sys.exit(code)

@@ -16,6 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from equimus_ctrl.errors import RecordingError
+from equimus_ctrl.presets import check_regular
 from equimus_ctrl.types import Array
 
 PathLike = str | os.PathLike[str]
@@ -159,6 +160,7 @@ def _check_header(sheet: Sheet, line: str) -> None:
 def header_of(path: PathLike) -> tuple[str, ...]:
     """The column names of a file, without reading its rows; empty where it has none or is not text."""
     try:
+        check_regular(Path(path))
         with open(path, encoding="utf-8-sig") as file:
             for line in file:
                 if line.strip() and not line.lstrip().startswith("#"):
@@ -172,6 +174,7 @@ def _read_bytes(path: Path) -> bytes:
     if path.is_dir():
         raise RecordingError(f"{path}: this is a folder where a file belongs")
     try:
+        check_regular(path)
         return path.read_bytes()
     except FileNotFoundError:
         raise RecordingError(f"{path}: there is no such file") from None

@@ -37,7 +37,8 @@ from .runs import (
     load_scenario as load_scenario,
     recordings_of as recordings_of,
     run_scenario as run_scenario,
-    scenario_entries as scenario_entries,
+    scenario_names as scenario_names,
+    listed_scenarios as listed_scenarios,
 )
 from .scores import (
     RecordingsScore as RecordingsScore,

@@ -45,10 +45,23 @@ def recordings_of(folder: Path | None = None) -> Callable[[str], tuple[Recording
     return find
 
 
-def scenario_entries() -> dict[str, ScenarioEntry]:
-    """Name → entry of all scenarios that are known: scripts under ``scenarios/``, and what plugins registered."""
-    scripts = {name: _script(name) for name in presets.names("scenarios", ".py")}
-    return {**scripts, **SCENARIOS}
+def scenario_names() -> list[str]:
+    """Of all scenarios that are known: scripts under ``scenarios/``, and what plugins registered."""
+    return list({**presets.names("scenarios", ".py"), **SCENARIOS})
+
+
+def listed_scenarios() -> list[dict[str, Any]]:
+    """Name, summary and options with their defaults of all scenarios that are known.
+
+    Scripts are read, not run: a folder's may be anybody's. Only the one that is asked for by name is run.
+    """
+    rows = []
+    for name, path in presets.names("scenarios", ".py").items():
+        summary, options, more = presets.described_function(path, "build")
+        joints = {"JOINT": "as in the keyframe"} if more else {}
+        rows.append({"name": name, "summary": summary, "options": {**dict(list(options.items())[1:]), **joints}})
+    registered = [{"name": n, "summary": e.summary, "options": e.options} for n, e in SCENARIOS.items()]
+    return [row for row in rows if row["name"] not in SCENARIOS] + registered
 
 
 def scenario_entry(name: str) -> ScenarioEntry:
@@ -91,7 +104,7 @@ def load_scenario(
         ConfigError: where there is no such scenario, or an option does not fit.
     """
     for described in robot.scenario_options:
-        if described not in (known := scenario_entries()):
+        if described not in (known := scenario_names()):
             raise ConfigError(unknown_name("scenario", described, known, f"{robot.name}: scenarios"))
     find = recordings_of(recordings) if search else (lambda kind: ())
     context = ScenarioContext(robot, phase, find, locate.missing_hint(), tuple(effects), read_path)
