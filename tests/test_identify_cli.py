@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import io
 import json
 import re
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -324,3 +326,23 @@ def test_ctrl_c_writes_nothing(
         monkeypatch.setattr(workflow, where, stop)
     code, out, err = ran("identify", data / "other.csv", "--free", "maa.stiffness", "--write-model", "m.toml", "--json")
     assert code == 130 and out == "" and err.strip() == "stopped: nothing was written" and files(tmp_path) == []
+
+
+def test_intervals_have_the_digits_that_they_are_worth() -> None:
+    """Of a narrow one both ends can be told apart; an end beyond what a parameter can be says nothing."""
+    rows = {
+        "narrow": (110.0, 0.02, 0.0, 500.0, "109.98 to 110.02"),
+        "wide": (0.18, 0.3, 0.0, 1.0, "at most 0.5"),
+        "endless": (300.0, 500.0, 0.0, 700.0, "not identifiable"),
+        "unseen": (300.0, np.inf, 0.0, 700.0, "not identifiable"),
+    }
+    free = [SimpleNamespace(name=name, unit="N", start=1.0, low=row[2], high=row[3]) for name, row in rows.items()]
+    found: Any = SimpleNamespace(
+        parameters=SimpleNamespace(free=free, names=list(rows)), theta=np.array([row[0] for row in rows.values()]),
+        uncertainty=SimpleNamespace(half_width=np.array([row[1] for row in rows.values()])), at_bound=np.zeros(4),
+    )  # fmt: skip
+    console = Console(width=120, record=True, file=io.StringIO())
+    verb._parameter_table(console, found, "of the initial model")
+    lines = {line.split()[0]: line for line in console.export_text().splitlines() if line.split()}
+    for name, row in rows.items():
+        assert lines[name].rstrip().endswith(row[-1]), lines[name]

@@ -232,6 +232,7 @@ def _rmse_table(
 
 
 def _parameter_table(console: Console, found: Fit | StaticFit, origin: str) -> None:
+    from equimus_ctrl.report.diagnosis_words import interval_digits, interval_text, number
 
     table = light_table(f"Parameters: before {origin}, after with 95 % intervals")
     for name in ("parameter", "unit", "before", "after", "interval", "at bound"):
@@ -239,10 +240,14 @@ def _parameter_table(console: Console, found: Fit | StaticFit, origin: str) -> N
         least = min(max(map(len, found.parameters.names)), 16) if name == "parameter" else None
         table.add_column(name, justify="left" if text else "right", no_wrap=not text, overflow="fold", min_width=least)
     for i, free in enumerate(found.parameters.free):
-        value, width = found.theta[i], found.uncertainty.half_width[i]
-        interval = f"{value - width:.3g} … {value + width:.3g}" if width < float("inf") else "not identifiable"
+        value, width = float(found.theta[i]), float(found.uncertainty.half_width[i])
+        # An end beyond what the parameter can be says nothing.
+        low = value - width if value - width >= free.low else float("-inf")
+        high = value + width if value + width <= free.high else float("inf")
+        digits = interval_digits(value, low, high)
         mark = {-1: "low", 0: "", 1: "high"}[int(found.at_bound[i])]
-        table.add_row(free.name, free.unit, f"{free.start:.4g}", f"{value:.4g}", interval, mark)
+        numbers = number(free.start), number(value, digits), interval_text(value, low, high)
+        table.add_row(free.name, free.unit, *numbers, mark)
     console.print(table)
 
 
