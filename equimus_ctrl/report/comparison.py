@@ -129,6 +129,10 @@ def _effort_unit(robot: Robot) -> str:
     return reading(kinds.pop()).unit if len(kinds) == 1 else ""
 
 
+MARKERS = "osD^vP"
+"""Of controllers, in their order."""
+
+
 def comparison_figures(found: Comparison) -> dict[str, Figure]:
     """``errors`` (RMSE of every controller), ``times`` (of their steps), and one for the motion in each scenario."""
     figures = {"errors": _errors(found), "times": _times(found)}
@@ -142,7 +146,7 @@ def _controllers(found: Comparison) -> list[str]:
 
 
 def _errors(found: Comparison) -> Figure:
-    """Bars of RMSE on a logarithmic scale: a panel for each joint and scenario, a group for each condition."""
+    """Dots of RMSE on a logarithmic scale (it has no zero for bars): a panel for each joint and scenario."""
     names, controllers = list(found.scenarios), _controllers(found)
     joints, units = found.model.robot.joint_names, found.model.robot.joint_units
     conditions = [c.name for c in found.conditions]
@@ -156,8 +160,13 @@ def _errors(found: Comparison) -> Figure:
             for c, controller in enumerate(controllers):
                 values = [_rmse(found, controller, name, condition, j) for condition in conditions]
                 place = np.arange(len(conditions)) + (c - (len(controllers) - 1) / 2) * bar
-                panel.bar(place, values, 0.9 * bar, color=style.actuator_colour(c), label=controller)
+                shape = MARKERS[c % len(MARKERS)]
+                panel.plot(place, values, shape, markersize=5.5, color=style.actuator_colour(c), label=controller)
+            for between in np.arange(len(conditions) - 1) + 0.5:
+                panel.axvline(between, color=style.REFERENCE, linewidth=0.5, alpha=0.4)
+            panel.set_xlim(-0.5, len(conditions) - 0.5)
             panel.set_yscale("log")
+            panel.margins(y=0.15)
             panel.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
             panel.yaxis.set_major_formatter(PLAIN)
             panel.yaxis.set_minor_locator(NullLocator())
