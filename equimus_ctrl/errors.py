@@ -7,6 +7,7 @@ been right.
 from __future__ import annotations
 
 import difflib
+import re
 from collections.abc import Iterable
 from typing import Any
 
@@ -70,7 +71,7 @@ def one_line(text: str) -> str:
     half = MOST_SAID // 2
     if len(text) > MOST_SAID:
         text = f"{text[:half]} … ({len(text) - 2 * half} characters) … {text[-half:]}"
-    line = " ".join(text.split())
+    line = re.sub(r"\s*[\n\r\t]\s*", " ", text.strip())
     return "".join(ch if ch.isprintable() else ch.encode("unicode_escape").decode() for ch in line)
 
 

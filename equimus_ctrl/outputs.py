@@ -10,6 +10,7 @@ import itertools
 import json
 import os
 from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -26,16 +27,17 @@ class Results:
     Args:
         given: by the user, if so.
         force: whether what an earlier run wrote there is replaced.
+        default: where they go without, or a folder above it.
 
     Raises:
         ConfigError: where nothing can be put there, or an earlier run has.
     """
 
-    def __init__(self, given: Path | None, force: bool = False) -> None:
+    def __init__(self, given: Path | None, force: bool, default: Path) -> None:
         self._given, self._force = given, force
+        presets.check_folder(given or default)
         if given is None:
             return
-        presets.check_folder(given)
         if not force and (held := _records(given)):
             raise ConfigError(
                 f"{given}: holds the results of an earlier run ({held[0].name}); expected another folder, or --force"
@@ -46,13 +48,15 @@ class Results:
         """The folder, empty of earlier results.
 
         Args:
-            default: where the user named none; numbered from 2 on where it is taken.
+            default: where the user named none; numbered from 2 on where it is taken, as is the user's own where another
+                run has ended there since it was found free.
         """
-        if self._given is None and not self._force:
-            return new_folder(default)
         folder = self._given or default
+        if not self._force and (self._given is None or _records(folder)):
+            return new_folder(folder)
         presets.make_folder(folder)
-        _clear(folder)
+        if self._force:
+            _clear(folder)
         return folder
 
 
@@ -86,6 +90,29 @@ def free_name(path: Path) -> Path:
     return next(own for own in numbered(path) if not os.path.lexists(own))
 
 
+@contextmanager
+def reserved(path: Path) -> Iterator[Path]:
+    """An empty file by the first of the numbered names that nothing has, to be replaced; gone again where that fails.
+
+    Raises:
+        ConfigError: where it cannot be made.
+    """
+    presets.make_folder(path.parent)
+    for own in numbered(path):
+        try:
+            os.close(os.open(own, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o644))
+        except FileExistsError:
+            continue
+        except OSError as error:
+            raise ConfigError(f"{own}: cannot be made ({error.strerror or error})") from None
+        break
+    try:
+        yield own
+    except BaseException:
+        own.unlink(missing_ok=True)
+        raise
+
+
 def check_new(path: Path, force: bool = False) -> None:
     """Raise ConfigError where a file that is to be written is there already and is not to be replaced."""
     if os.path.lexists(path) and not force:
@@ -111,6 +138,10 @@ def _clear(folder: Path) -> None:
         except (OSError, ValueError, AttributeError):
             files = []
         for file in files if isinstance(files, list) else []:
-            if isinstance(file, str) and file == Path(file).name:
-                (folder / file).unlink(missing_ok=True)
+            if (
+                isinstance(file, str)
+                and file == Path(file).name
+                and ((own := folder / file).is_file() or own.is_symlink())
+            ):
+                own.unlink()
         record.unlink(missing_ok=True)

@@ -276,28 +276,32 @@ def described_function(path: Path, name: str) -> tuple[str, dict[str, Any], bool
 
     Returns:
         The first paragraph of its docstring as one line, each of the function's parameters with its default (None
-        without one, its text where it has to be computed), and whether it takes any others.
+        without one, its text where it has to be computed), and whether it takes any others; nothing of a function that
+        the file has from elsewhere.
 
     Raises:
-        ConfigError: where it cannot be read, is no Python, or has no such function.
+        ConfigError: where it cannot be read or is no Python.
     """
     try:
         tree = ast.parse(read_bytes(path), str(path))
     except (SyntaxError, ValueError, RecursionError) as error:
         raise ConfigError(f"{shown(path)}: is no Python file ({error})") from None
+    summary = (ast.get_docstring(tree) or "").partition("\n\n")[0].replace("\n", " ")
     found = [node for node in tree.body if isinstance(node, ast.FunctionDef) and node.name == name]
-    if not found:
-        raise ConfigError(f"{shown(path)}: has no function {name}")
+    if not found:  # it may come from elsewhere, which is not known before it is run
+        return summary, {}, False
     known: dict[str, ast.expr] = {}
     for node in tree.body:
         if isinstance(node, ast.Assign):
             for target in node.targets:
                 known |= _named(target, node.value)
+        elif isinstance(node, ast.AnnAssign) and node.value is not None:
+            known |= _named(node.target, node.value)
     given = found[-1].args
-    usual = [*[None] * (len(given.args) - len(given.defaults)), *given.defaults]
-    pairs = [*zip(given.args, usual, strict=True), *zip(given.kwonlyargs, given.kw_defaults, strict=True)]
+    names = [*given.posonlyargs, *given.args]
+    usual = [*[None] * (len(names) - len(given.defaults)), *given.defaults]
+    pairs = [*zip(names, usual, strict=True), *zip(given.kwonlyargs, given.kw_defaults, strict=True)]
     options = {arg.arg: _literal(default, known) for arg, default in pairs}
-    summary = (ast.get_docstring(tree) or "").partition("\n\n")[0].replace("\n", " ")
     return summary, options, given.kwarg is not None
 
 
@@ -317,7 +321,7 @@ def _literal(node: ast.expr | None, known: Mapping[str, ast.expr]) -> Any:
         return None
     try:
         return ast.literal_eval(known.get(node.id, node) if isinstance(node, ast.Name) else node)
-    except ValueError:
+    except (ValueError, TypeError, MemoryError, RecursionError):
         return ast.unparse(node)
 
 
@@ -414,10 +418,10 @@ class JsonLines:
     def truncate(self, count: int) -> None:
         """Drop all rows from number ``count`` on, from the file too."""
         header = json.loads(self.path.read_text(encoding="utf-8").partition("\n")[0])
-        self._file.close()
+        self.close()
         del self.rows[count:]
         write_text(self.path, "".join(json.dumps(row) + "\n" for row in [header, *self.rows]))
-        self._file = self.path.open("a", encoding="utf-8")
+        self._file, self._lost = self.path.open("a", encoding="utf-8"), False
 
     def close(self) -> None:
         """Close the file; what a full disk left in its buffer is lost."""

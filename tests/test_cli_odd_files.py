@@ -61,7 +61,7 @@ def test_what_is_no_file_is_told(arguments: tuple[str, ...], sentence: str, told
 
 
 def test_a_message_is_one_line_that_somebody_reads() -> None:
-    assert one_line("two\nlines\tof  words") == "two lines of words"
+    assert one_line(" two\n  lines\tof  words\n") == "two lines of  words"
     assert one_line("a bell \a, a colour \x1b[31m") == "a bell \\x07, a colour \\x1b[31m"
     assert one_line("näher als 1 µm") == "näher als 1 µm"
     long = one_line("begins " + "y" * 6_000_000 + " ends")
@@ -102,9 +102,11 @@ def test_scripts_of_a_folder_are_listed_without_being_run(
     script.write_text("def build(context:\n")
     with pytest.raises(ConfigError, match=r"scenarios/anybodys.py: is no Python file"):
         listed_scenarios()
-    script.write_text("x = 1\n")
-    with pytest.raises(ConfigError, match=r"scenarios/anybodys.py: has no function build"):
-        listed_scenarios()
+    script.write_text('"""From elsewhere."""\nfrom common import build\n')
+    assert {"name": "anybodys", "summary": "From elsewhere.", "options": {}} in listed_scenarios()
+    script.write_text("SIZE: float = 2.0\ndef build(context=None, size=SIZE, /, odd={(1,): [2]}):\n    pass\n")
+    (row,) = [row for row in listed_scenarios() if row["name"] == "anybodys"]
+    assert row["options"] == {"size": 2.0, "odd": {(1,): [2]}}
 
 
 def test_scripts_are_listed_as_they_are_when_they_are_run() -> None:

@@ -297,9 +297,10 @@ def test_the_commands_run_and_diagnose_can_read_what_was_recorded(leg: Path, tmp
     out = ["--output", str(tmp_path / "out"), "--record", str(tmp_path / "rec")]
     assert main(["run", "chirp", *options, *out]) == 0  # a dry run
     assert not (tmp_path / "rec").exists()
-    for k in (1, 2):
-        assert main(["run", "chirp", *options, *out, "--arm", "--json"]) == 0
-        assert len(read(tmp_path / "rec" / f"chirp_{k:03d}.csv").time) > 230
+    for name in ("chirp.csv", "chirp-2.csv"):
+        assert main(["run", "chirp", *options, *out, "--arm", "--json"]) == 2, "the results before are there"
+        assert main(["run", "chirp", *options, *out, "--arm", "--json", "--force"]) == 0
+        assert len(read(tmp_path / "rec" / name).time) > 230
     assert main(["run", "chirp", "--arm"]) == 2
     assert main(["run", "chirp", *options, "--effect", "dead_zone:baa:threshold=4000"]) == 2
     assert main(["run", "push", *options]) == 2

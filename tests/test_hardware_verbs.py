@@ -81,9 +81,9 @@ def test_whoever_stops_a_sweep_is_told_that_the_robot_is_vented(tmp_path: Path) 
         time.sleep(1.0)
         process.send_signal(signal.SIGINT)
         out = process.communicate(timeout=20)[1]
-    assert process.returncode == 130 and "the robot is vented" in out and "delay_001.csv" in out, out
+    assert process.returncode == 130 and "the robot is vented" in out and "delay.csv" in out, out
     assert max(seen_by(tmp_path / "log.json")["highest"]) > 0
-    assert read(tmp_path / "runs" / "delay_001.csv").command[-1].tolist() == [0.0, 0.0]
+    assert read(tmp_path / "runs" / "delay.csv").command[-1].tolist() == [0.0, 0.0]
 
 
 @pytest.mark.parametrize(("arm", "said"), [(True, "was commanded is vented"), (False, "was only listened to")])
@@ -127,7 +127,7 @@ def test_delays_and_lags_are_found_and_handed_to_controllers(
         assert abs(found[name]["lag_s"]["value"] - lag) < 0.01
     effect_names = [effect.name for effect in load_model(known).effects]
     assert effect_names.count("transport_delay") == effect_names.count("first_order_lag") == 2
-    assert len(read(tmp_path / "delay_001.csv").time) > 1400
+    assert len(read(tmp_path / "delay.csv").time) > 1400
 
 
 @pytest.mark.real_time

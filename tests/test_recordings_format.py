@@ -248,10 +248,10 @@ def test_upstream_files_are_pointed_to_the_import(tmp_path: Path) -> None:
 
 
 def test_limits_can_be_moved(tmp_path: Path) -> None:
-    path = put(tmp_path, VALID.replace("3000", "200000").replace("1.52", "99").replace("0.02,", "9,"))
+    path = put(tmp_path, VALID.replace("3000", "200000").replace("1.52", "99").replace("0.02,", "1.9,"))
     wide = Limits(command_high=2e5, rotating=("hip",), max_interval=60.0)
     assert read(path, limits=wide).position[2, 0] == 99.0
-    assert read(path, limits=Limits(command_high=2e5, max_angle=100.0, max_interval=60.0)).time[-1] == 9.0
+    assert read(path, limits=Limits(command_high=2e5, max_angle=100.0, max_interval=60.0)).time[-1] == 1.9
     with pytest.raises(RecordingError, match="degrees"):
         read(path, limits=Limits(command_high=2e5, rotating=("knee",), max_interval=60.0))
 
@@ -344,3 +344,9 @@ def test_a_gap_that_is_most_of_a_recording_is_refused(tmp_path: Path) -> None:
     path.write_text(text(np.append(times, times + 4.0)))
     with pytest.raises(RecordingError, match=r"row 103, column time: nothing was recorded for 3 s before 4 s"):
         read(path)
+    path.write_text(text(np.array([0.0, 0.01, 1e5])))
+    with pytest.raises(RecordingError, match="nothing was recorded for 100000 s"):
+        read(path, limits=Limits(max_interval=1e6))
+    bursts = (np.arange(8)[:, None] * 0.5 + np.arange(10) * 1e-3).ravel()
+    path.write_text(text(bursts))
+    assert len(read(path).time) == 80, "it was written in bursts"

@@ -207,7 +207,7 @@ def test_a_controller_of_a_plugin_is_tuned_and_run_takes_what_was_found(
     assert presets.read_toml(written) == found["settings"]
     assert written.read_text().startswith("# Settings of springy; written by `equimus-ctrl autotune springy`, free to")
     results = folder / "tuning" / "results" / "springy_own_pendulum"
-    drawn = ["convergence.png", "journal.jsonl", "record.json", "response.png", "robustness.png"]
+    drawn = ["convergence.png", "journal.jsonl", "record.json", "response.png", "robustness.png", "springy.toml"]
     assert sorted(file.name for file in results.iterdir()) == drawn
     again = told(capsys, *WORDS, "--workers", "1", "--json", "--no-figures")
     assert again["reused"] == 4 and again["settings"] == found["settings"]

@@ -392,9 +392,19 @@ def test_another_tuning_leaves_what_is_there(study: Path, tmp_path: Path) -> Non
         workflow.tune_pid(study, output=tmp_path / "mine.toml")
     with pytest.raises(eq.ConfigError, match=r"small: holds another tuning, of other settings or another model"):
         workflow.tune_pid(study, seed=7, folder=one.folder)
+    edited = other.settings.read_text().replace("kp = ", "kp = 1")
+    other.settings.write_text(edited)
+    beside = workflow.tune_pid(study, seed=6)
+    assert other.settings.read_text() == edited, "it was edited since"
+    assert eq.PidSettings.from_dict(presets.read_toml(other.folder / "pid-2.toml")) == beside.result.settings
+    (tmp_path / "empty").mkdir()
+    (tmp_path / "empty" / "pid.toml").write_text("[gains]\n")
+    theirs = workflow.tune_pid(study, seed=6, folder=tmp_path / "empty", output=tmp_path / "out.toml")
+    assert (tmp_path / "empty" / "pid.toml").read_text() == "[gains]\n" and theirs.settings == tmp_path / "out.toml"
+    other.settings.unlink()
     forced = workflow.tune_pid(study, seed=6, force=True)
     assert (forced.folder, forced.settings, forced.left) == (one.folder, one.settings, None)
-    assert forced.settings.read_bytes() == other.settings.read_bytes()
+    assert forced.settings.read_bytes() == beside.settings.read_bytes()
 
 
 def test_tuned_settings_are_not_lost_with_a_full_disk(

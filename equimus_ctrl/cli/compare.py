@@ -61,7 +61,9 @@ def compare(
 
     console = people()
     workflow.load_plugins(plugins or ())
-    results = outputs.Results(output, force)
+    named = "-".join(presets.plain_name(Path(name).stem) for name in scenarios)[:60]
+    default = presets.workspace() / "results" / "compare" / named
+    results = outputs.Results(output, force, default)
     with stage_bar(console, "compare", width=36, bar_width=24) as show:
         found = workflow.compare(
             scenarios,
@@ -71,8 +73,6 @@ def compare(
             notify=lambda share, what: show(what, share),
         )
     record = found.to_dict()
-    named = "-".join(presets.plain_name(Path(name).stem) for name in scenarios)[:60]
-    default = presets.workspace() / "results" / "compare" / named
     files = write_results(results, default, lambda: comparison_figures(found) if figures else {}, record)
     console.print(comparison_table(found))
     print_files(console, files)

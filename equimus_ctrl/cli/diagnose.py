@@ -65,7 +65,7 @@ def diagnose(
     """  # noqa: D301
     from equimus_ctrl import outputs, presets
 
-    results = outputs.Results(report, force)
+    results = None if report is None else outputs.Results(report, force, report)
     check_model_file(write_model, force)
     console = people()
     files: list[Path] = []
@@ -81,7 +81,7 @@ def diagnose(
             asked=asked,
         )
         record = found.to_dict()
-        if report is not None:
+        if report is not None and results is not None:
             from equimus_ctrl.report.diagnosis_page import page
 
             show("report")

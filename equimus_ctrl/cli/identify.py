@@ -73,7 +73,7 @@ def identify(
     from equimus_ctrl import outputs, presets
 
     default = presets.workspace() / "identification" / "results" / recordings[0].resolve().stem
-    results = outputs.Results(output, force)
+    results = outputs.Results(output, force, default)
     check_model_file(write_model, force)
     console = people()
     with stage_bar(console, "getting ready", width=13) as show:

@@ -100,8 +100,10 @@ def run(
 
         check_suffix(video)
         presets.check_folder(video.parent)
-        outputs.check_new(video, force)
-    results = outputs.Results(output, force)
+        # Without an ffmpeg that works a film becomes a gif.
+        for film in {video, video.with_suffix(".gif")}:
+            outputs.check_new(film, force)
+    results = outputs.Results(output, force, presets.workspace() / "results" / "run")
     if record is not None:
         presets.check_folder(record)
     robot = chosen.read()
@@ -159,6 +161,7 @@ def run(
 
         files += save_run_figures(done.run, done.scenario, done.score, done.kinematics, folder, label)
         files.append(save_series(done.run, folder / "series.csv"))
+    ours = list(files)  # of this folder; recordings are not, wherever they are
     if done.recording is not None:
         files.append(done.recording)
     result = score_to_dict(done.score, done.run, done.scenario, done.controller)
@@ -178,7 +181,7 @@ def run(
         "failure": None,
         "files": [str(f) for f in files],
     }
-    outputs.write_record(folder, "score.json", result, files)
+    outputs.write_record(folder, "score.json", result, ours)
     console.print(run_table(done.score, done.run, done.scenario, done.controller))
     if done.loop is not None:
         result["loop"] = done.loop.to_dict()
@@ -216,6 +219,7 @@ def keep_diverged(
     folder, files = results.opened(own_folder(stop.scenario, stop.controller)), []
     if figures:
         files.append(save_series(stop.run, folder / "series.csv"))
+    ours = list(files)
     if stop.recording is not None:
         files.append(stop.recording)
     result = {
@@ -227,7 +231,7 @@ def keep_diverged(
         "ended_s": float(stop.run.time[-1]),
         "files": [str(file) for file in files],
     }
-    outputs.write_record(folder, "score.json", result, files)
+    outputs.write_record(folder, "score.json", result, ours)
     return result, files
 
 

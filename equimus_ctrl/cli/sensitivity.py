@@ -60,7 +60,7 @@ def sensitivity(
 
     name = f"{recordings[0].resolve().stem}_sensitivity"
     default = presets.workspace() / "identification" / "results" / name
-    results = outputs.Results(output, force)
+    results = outputs.Results(output, force, default)
     console = people()
     with stage_bar(console, "simulating") as show:
         from equimus_ctrl import workflow

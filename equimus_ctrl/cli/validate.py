@@ -72,7 +72,8 @@ def validate(
 
     from equimus_ctrl import outputs, presets, workflow
 
-    results = outputs.Results(output, force)
+    default = presets.workspace() / "validation" / "results"
+    results = outputs.Results(output, force, default)
     robot = workflow.load_elastic(model)
     console = people()
     columns = (TextColumn("{task.description:<22}"), BarColumn(), *times(), TextColumn("{task.fields[error]}"))
@@ -92,7 +93,7 @@ def validate(
 
         found = validate_physics(robot, options, notify=notify)
     record, drawn = found.to_dict(), list[Path]()
-    folder = results.opened(presets.workspace() / "validation" / "results" / presets.plain_name(robot.name))
+    folder = results.opened(default / presets.plain_name(robot.name))
     if figures:
         from equimus_ctrl.report.validation_figures import save_validation_figures
 

@@ -263,5 +263,5 @@ def check_size(trials: Sequence[Trial], dt: float) -> None:
         if not (end - begin) / dt <= MOST_STEPS:
             raise ConfigError(
                 f"{trial.name}: {end - begin:g} s take {(end - begin) / dt:.3g} physics steps of {dt:g} s, expected at "
-                f"most {MOST_STEPS:,}; cut it to a window"
+                f"most {MOST_STEPS:,}; cut what was recorded"
             )

@@ -13,8 +13,8 @@ from equimus_ctrl.errors import ConfigError
 from equimus_ctrl.recordings.sheet import Sheet, number
 from equimus_ctrl.types import Array, Recording
 
-GAP = 100
-"""So many usual times between rows without one are a gap."""
+GAP, GAP_TIME = 100, 2.0
+"""So many usual times between rows without one are a gap, if that is so long at least [s]: some write in bursts."""
 MANY_TURNS = 4.0
 """Of a hinge about zero; it may turn without end, but most that is said to go farther is in degrees."""
 
@@ -107,16 +107,28 @@ def check_time(sheet: Sheet, column: str, time: Array, limits: Limits) -> None:
 
 def check_gaps(sheet: Sheet, column: str, time: Array) -> None:
     """Raise RecordingError where there are no rows for more than half of the time; the longest gap is told."""
+    if (row := after_gap(time)) is not None:
+        raise sheet.error(row, column, gap_problem(time, row))
+
+
+def after_gap(time: Array) -> int | None:
+    """The row after the longest gap of a recording that has no rows for more than half of the time; else None."""
     steps = np.diff(time)
-    gaps = steps > GAP * np.median(steps)
-    if steps[gaps].sum() > (time[-1] - time[0]) / 2:
-        row = int(np.argmax(steps)) + 1
-        raise sheet.error(
-            row,
-            column,
-            f"nothing was recorded for {number(steps[row - 1])} s before {number(time[row])} s, where rows are "
-            f"{number(float(np.median(steps)))} s apart; these are several recordings, or one with a wrong time",
-        )
+    gaps = steps > max(GAP * _usual(steps), GAP_TIME)
+    return int(np.argmax(steps)) + 1 if steps[gaps].sum() > (time[-1] - time[0]) / 2 else None
+
+
+def gap_problem(time: Array, row: int) -> str:
+    """What is wrong with times that have a gap before a row."""
+    steps = np.diff(time)
+    return (
+        f"nothing was recorded for {number(steps[row - 1])} s before {number(time[row])} s, where rows are "
+        f"{number(_usual(steps))} s apart; these are several recordings, or one with a wrong time"
+    )
+
+
+def _usual(steps: Array) -> float:
+    return float(np.sort(steps)[(len(steps) - 1) // 2])
 
 
 def check_interval(sheet: Sheet, column: str, steps: Array, limits: Limits) -> None:

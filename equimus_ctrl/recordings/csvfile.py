@@ -21,7 +21,7 @@ import numpy as np
 
 from equimus_ctrl.errors import RecordingError, nearest, unknown_name
 from equimus_ctrl.recordings import checks, upstream
-from equimus_ctrl.recordings.checks import LEG, Limits
+from equimus_ctrl.recordings.checks import LEG, Limits, after_gap, gap_problem
 from equimus_ctrl.recordings.sheet import PathLike, Sheet, open_sheet, reason, shorten
 from equimus_ctrl.types import Array, Recording
 
@@ -264,6 +264,8 @@ def _check_writable(path: Path, recording: Recording) -> None:
             f"{path}: time {float(recording.time[row])!r} s of sample {row} does not come after "
             f"{float(recording.time[row - 1])!r} s; times must ascend"
         )
+    if np.isfinite(recording.time).all() and (gap := after_gap(recording.time)) is not None:
+        raise RecordingError(f"{path}: {gap_problem(recording.time, gap)}")
     for kind, names in (("actuator", recording.actuators), ("joint", recording.joints)):
         if not names:
             raise RecordingError(f"{path}: the recording has no {kind}; at least one is needed")

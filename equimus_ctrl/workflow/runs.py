@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import inspect
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -12,7 +13,7 @@ from equimus_ctrl import outputs, presets
 from equimus_ctrl.controllers.custom import as_controller
 from equimus_ctrl.controllers.registry import CONTROLLERS, make_controller
 from equimus_ctrl.effects.base import Effect
-from equimus_ctrl.errors import ConfigError, SimulationDiverged, unknown_name
+from equimus_ctrl.errors import ConfigError, EquimusError, SimulationDiverged, unknown_name
 from equimus_ctrl.loop import run
 from equimus_ctrl.models.kinematics import Kinematics
 from equimus_ctrl.models.model import Model, nominal_model
@@ -255,7 +256,10 @@ def run_scenario(
     except SimulationDiverged as error:
         error.scenario, error.controller = scenario.name, label
         if record is not None and error.run is not None and len(error.run.time) > 1:  # a recording has two rows or more
-            error.recording = _recorded(record, error.run.recording(scenario.name, {**notes, "failure": str(error)}))
+            with suppress(EquimusError):  # what diverged is told first; what there is of it may still be shown
+                error.recording = _recorded(
+                    record, error.run.recording(scenario.name, {**notes, "failure": str(error)})
+                )
         raise
     finally:
         machine.close()
@@ -272,10 +276,9 @@ def run_scenario(
 
 def _recorded(path: Path, recording: Recording) -> Path:
     """Write a recording; where another process has taken its name in the meantime, by the next free one."""
-    presets.make_folder(path.parent)
-    path = outputs.free_name(path)
-    write(path, recording)
-    return path
+    with outputs.reserved(path) as own:
+        write(own, recording)
+    return own
 
 
 def own_settings(file: str, robot: Robot) -> str:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+import os
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
@@ -103,10 +105,9 @@ def autotune(
     presets.check_toml(target)
     header = {"format": "equimus-ctrl/journal/1", "key": key_of(settings, problem)}
     results = _folder(options, results, header)
-    copy = results / file
-    kept = _is_anothers(target, copy) and not options.force
-    if kept and options.output is not None:
-        outputs.check_new(target)
+    record, copy = results / "record.json", results / file
+    if options.output is not None and not _is_own(target, record):
+        outputs.check_new(target, options.force)
     store = presets.JsonLines(results / JOURNAL, header, options.fresh)
     reused = len(store.rows)
     begin(settings.candidates)
@@ -114,9 +115,12 @@ def autotune(
         result = tune(settings, problem, journal.RowJournal(store), notify, options.workers, options.budget)
     finally:
         store.close()
-    record = results / "record.json"
     text = presets.toml_text(result.settings.to_dict(), _comment(controller, result, path))
-    written = [copy] if kept else [target, copy]
+    # Looked at now: while it was searched somebody may have written there, or edited what an earlier run had.
+    kept = not options.force and not _is_own(target, record)
+    if not options.force and not _is_own(copy, record):
+        copy = outputs.free_name(copy)
+    written = list(dict.fromkeys([copy] if kept else [target, copy]))
     _write_all({**dict.fromkeys(written, text), record: presets.json_text(result.record())})
     return Tuned(controller, result, written[0], record, results, reused, target if kept else None)
 
@@ -140,11 +144,14 @@ def _folder(options: AutotuneOptions, default: Path, header: Mapping[str, Any]) 
     raise AssertionError
 
 
-def _is_anothers(target: Path, copy: Path) -> bool:
-    """Whether settings are there already, and this tuning has not written them so itself."""
-    if not target.exists():
+def _is_own(settings: Path, record: Path) -> bool:
+    """Whether a tuning may write its settings there: there are none, or those that its record says it found before."""
+    if not os.path.lexists(settings):
+        return True
+    try:
+        return bool(presets.read_toml(settings) == json.loads(presets.read_bytes(record)).get("settings"))
+    except (ConfigError, ValueError, AttributeError):
         return False
-    return not copy.exists() or presets.read_bytes(target) != presets.read_bytes(copy)
 
 
 def _write_all(texts: Mapping[Path, str]) -> None:
