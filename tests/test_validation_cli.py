@@ -59,7 +59,7 @@ def test_a_missed_goal_is_exit_code_three_and_named(
     out, err = capsys.readouterr()
     assert out == ""
     assert "missed: swing is " in err
-    assert [path.name for path in (tmp_path / "validation" / "results").iterdir()] == ["validation.json"]
+    assert [path.name for path in (tmp_path / "validation/results/nominal_leg").iterdir()] == ["validation.json"]
 
 
 @pytest.mark.parametrize(
