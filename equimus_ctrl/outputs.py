@@ -1,7 +1,7 @@
 """Where results go: nothing that is there already is written over, unless that is asked for.
 
 Each run has a folder of its own. One that is named by the user has to be free; a default one gets the next free number,
-``hold-pid``, ``hold-pid-2``, and so on. What ``--force`` replaces is what an earlier record says it wrote, no more.
+``hold-pid``, ``hold-pid-2``, and so on. What ``--force`` takes away is what an earlier record says it wrote, no more.
 """
 
 from __future__ import annotations

@@ -329,7 +329,7 @@ def test_ctrl_c_writes_nothing(
 
 
 def test_intervals_have_the_digits_that_they_are_worth() -> None:
-    """Of a narrow one both ends can be told apart; an end beyond what a parameter can be says nothing."""
+    """The ends of a narrow one differ; an end beyond what a parameter can be says nothing."""
     rows = {
         "narrow": (110.0, 0.02, 0.0, 500.0, "109.98 to 110.02"),
         "wide": (0.18, 0.3, 0.0, 1.0, "at most 0.5"),
