@@ -204,9 +204,8 @@ def test_progress_goes_up_through_its_stages() -> None:
     assert shares == sorted(shares) and shares[0] == 0 and shares[-1] == 1
     assert list(dict.fromkeys(stage for stage, _, _ in told)) == ["compiling", "search", "cross-check", "done"]
     best = [b for _, _, b in told if b == b]
-    assert (
-        max(after - before for before, after in pairwise(best)) < 1e-12 * best[0]
-    )  # costs never rise, but are rounded
+    # Costs never rise; their share that is no distance of starts from measured ones may, by a little.
+    assert max(after - before for before, after in pairwise(best)) < 1e-4 * best[0]
 
 
 def test_fewer_than_two_recordings_or_folds_are_not_cross_checked() -> None:

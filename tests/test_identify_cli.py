@@ -178,7 +178,7 @@ def test_options_reach_what_they_name(ran: Any, data: Path) -> None:
 
     plain = result()
     rmse = [plain["rmse_rad"]["after_together"]]
-    for more in (("--select", "*_1"), ("--window", 0.7, 1.4), ("--shoot", 0.5), ("--fit-start",), ("--dt", 0.004)):
+    for more in (("--select", "*_1"), ("--window", 0.7, 1.4), ("--shoot", 0.5), ("--no-fit-start",), ("--dt", 0.004)):
         rmse.append(result(*more)["rmse_rad"]["after_together"])
     assert len(set(rmse)) == len(rmse)
     assert [r["name"] for r in result("--fix", "baa.*")["parameters"]] == ["knee.damping", "maa.stiffness"]
@@ -188,7 +188,7 @@ def test_options_reach_what_they_name(ran: Any, data: Path) -> None:
     assert (
         code == 0
         and re.search(r"maa\.stiffness .* high", err)
-        and "1 of 4 parameters lie on a bound (maa.stiffness)" in " ".join(err.split())
+        and "1 of 4 parameters lies on a bound (maa.stiffness)" in " ".join(err.split())
     )
 
 

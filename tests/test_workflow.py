@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import json
 import math
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from pendulum_runs import MOTOR, PENDULUM, recorded
 
 import equimus_ctrl as eq
 from equimus_ctrl import presets, recordings, workflow
@@ -98,6 +100,35 @@ def test_each_trial_starts_from_its_own_measured_start() -> None:
     assert np.all(score.rmse > 1e-3)
 
 
+def test_noise_does_not_decide_where_a_robot_begins_that_may_move(tmp_path: Path) -> None:
+    """The right model of a free pendulum is off by the noise, which velocities of noisy positions would hide."""
+    (tmp_path / "arm.xml").write_text(PENDULUM.format(drive=MOTOR))
+    arm, noise = eq.load_model(tmp_path / "arm.xml"), 4e-3
+    trials = recorded(arm, noise=noise)
+    trials[1] = replace(trials[1], notes={"settled": "no"})  # each row counts all the same
+    found = eq.score_recordings(trials, arm)
+    assert found.start == "fitted" and found.rmse[0] == pytest.approx(noise, rel=0.06)
+    assert [score.samples for score in found.trials] == [len(trial.time) for trial in trials]
+    measured = eq.score_recordings(trials, arm, start="measured")
+    assert measured.start == "measured" and measured.rmse[0] > 2 * noise
+    np.testing.assert_allclose(measured.trials[0].predicted, eq.predict(arm, trials[0]), atol=1e-12)
+
+
+def test_a_fitted_start_of_a_leg_is_what_its_effects_remember() -> None:
+    """A hysteresis that was moved before the recording: unknown, and found from the recording itself."""
+    real = eq.Model(eq.nominal_leg(), (eq.Hysteresis("baa", 1.2, 0.008),))
+    before = np.array([[25e3, 1e3], [2e3, 20e3]])
+    whole = made("whole", model=real)
+    command = np.concatenate([np.repeat(before, 60, axis=0), whole.command])
+    time = np.arange(len(command)) / 120
+    blank = eq.Recording("t", time, command, np.zeros_like(command), ("maa", "baa"), ("hip", "knee"))
+    angles = eq.predict(real, blank, start=eq.Kinematics(eq.nominal_leg()).equilibrium(before[0]))
+    late = slice(100, None)
+    trial = eq.Recording("t", time[late] - time[100], command[late], angles[late], ("maa", "baa"), ("hip", "knee"))
+    measured, fitted = (eq.score_recordings([trial], real, start=start).rmse for start in ("measured", "fitted"))
+    assert np.all(fitted < measured)
+
+
 def test_a_window_and_a_grid() -> None:
     late = np.zeros((240, 2))
     late[120:] = 0.05
@@ -128,10 +159,11 @@ def test_the_score_as_plain_types(trial: eq.Recording) -> None:
     shares: list[float] = []
     found = eq.score_recordings([trial, trial], progress=shares.append).to_dict()
     assert shares == [0.5, 1.0]
-    assert set(found) == {"model", "engine", "rmse_rad", "trials"} and found["model"] == "nominal_leg"
+    assert set(found) == {"model", "engine", "start", "rmse_rad", "trials"} and found["model"] == "nominal_leg"
+    assert found["start"] == "measured"
     assert found["engine"] == {"name": "reduced", "reason": ""}
     assert set(found["rmse_rad"]) == {"hip", "knee"}
-    assert [set(t) for t in found["trials"]] == [{"name", "rmse_rad"}] * 2
+    assert [set(t) for t in found["trials"]] == [{"name", "start", "rmse_rad"}] * 2
     assert json.loads(presets.json_text(found)) == found
 
 

@@ -126,6 +126,7 @@ def _print_poses(console: Console, done: IdentifiedPoses) -> None:
         ("identified", found.residuals),
         (f"cross-validation ({found.folds} folds)", found.heldout),
     ]
+    _warn(console, done.caveats)
     _rmse_table(console, m.joint_names, rows, done.heldout)
     _parameter_table(console, found, "of the initial model")
     _explain(console, found, found.residuals.size)
@@ -138,6 +139,11 @@ def _print_poses(console: Console, done: IdentifiedPoses) -> None:
             f"{text} (RMSE).",
             markup=False,
         )
+
+
+def _warn(console: Console, caveats: Sequence[str]) -> None:
+    for text in caveats:
+        console.print(text, style="yellow", markup=False)
 
 
 def _any_nan(values: Array) -> Any:
@@ -156,6 +162,7 @@ def _print_trials(console: Console, done: Identified, from_poses: bool) -> None:
         markup=False,
     )
     print_engine(console, done.engine)
+    _warn(console, done.caveats)
     import numpy as np
 
     from equimus_ctrl.identification.results import zeros_sentence
@@ -255,12 +262,6 @@ def _explain(console: Console, found: Fit | StaticFit, angles: int) -> None:
     def say(text: str) -> None:
         console.print(text, markup=False, soft_wrap=False)
 
-    held = [free.name for free, side in zip(found.parameters.free, found.at_bound, strict=True) if side]
-    if held:
-        say(
-            f"{len(held)} of {len(found.parameters.free)} parameters lie on a bound ({', '.join(held)}): they may "
-            "compensate missing physics."
-        )
     effective = found.uncertainty.effective_samples
     if effective < 0.9 * angles:
         say(

@@ -29,13 +29,17 @@ def score(
     plugins: PluginFiles = None,
     as_json: Json = False,
 ) -> None:
-    """Predict recordings with a model, each trial from its own measured start, and print the error.
+    """Predict recordings with a model, each trial whole and from a start of its own, and print the error.
+
+    A robot that rests begins where its first rows show it. One that may move begins as predicts the trial best, as in
+    diagnose, for velocities of noisy positions would decide; --start measured takes these.
 
     \b
     [bold]Examples[/bold]
     equimus-ctrl score ../shared/recordings/concealed/open_1
     equimus-ctrl score my_recordings --model corrected.toml --json
     equimus-ctrl score step_release.csv --window 5 9 --engine mujoco
+    equimus-ctrl score runs --model robot.xml --start measured
     """  # noqa: D301
     from rich.table import Table
 
@@ -52,7 +56,9 @@ def score(
         )
     joints = found.model.robot.joint_names
     print_engine(console, found.engine)
-    table = Table(title=f"{found.model.name} against {len(found.trials)} trial(s), RMSE in rad", title_justify="left")
+    heading = f"{found.model.name} against {len(found.trials)} trial(s) from {found.start} starts, RMSE in rad or m:"
+    console.print(heading, markup=False, soft_wrap=True)
+    table = Table()
     table.add_column("trial")
     for joint in joints:
         table.add_column(joint, justify="right")

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 
 from equimus_ctrl.engines.base import Engine
+from equimus_ctrl.identification.caveats import caveats, of_parameters
 from equimus_ctrl.identification.crosscheck import CrossCheck
 from equimus_ctrl.identification.fit import Fit
 from equimus_ctrl.identification.noise import Noise, white_noise
@@ -71,6 +73,11 @@ class Identified:
     seconds: float
     check_seconds: float
 
+    @cached_property
+    def caveats(self) -> tuple[str, ...]:
+        """What the numbers are not to be taken for, see ``identification.caveats``."""
+        return caveats(self.fit, len(self.recordings), bool(self.heldout))
+
     @property
     def channels(self) -> tuple[FittedChannel, ...]:
         """What was compared beside the joints' positions, before and after."""
@@ -89,6 +96,7 @@ class Identified:
             "seconds": self.seconds,
             "rmse_rad": _before_and_after(joints, found.rmse_before, found.rmse),
             "parameters": parameter_rows(found.parameters, found.theta, found.uncertainty, found.at_bound),
+            "caveats": list(self.caveats),
             "channels": [asdict(channel) for channel in self.channels],
             "zeros": [asdict(zero) for zero in found.zeros],
             "trade_offs": [_trade(t) for t in found.uncertainty.trade_offs],
@@ -212,6 +220,11 @@ class IdentifiedPoses:
     heldout: tuple[Judged, ...]
     seconds: float
 
+    @property
+    def caveats(self) -> tuple[str, ...]:
+        """What the numbers are not to be taken for."""
+        return of_parameters(self.fit.parameters, self.fit.at_bound, self.fit.uncertainty)
+
     def to_dict(self) -> dict[str, Any]:
         """As JSON data; angles in rad, pressures in Pa."""
         found = self.fit
@@ -225,6 +238,7 @@ class IdentifiedPoses:
             "seconds": self.seconds,
             "rmse_rad": _before_and_after(m.joint_names, before, after),
             "parameters": parameter_rows(found.parameters, found.theta, found.uncertainty, found.at_bound),
+            "caveats": list(self.caveats),
             "trade_offs": [_trade(t) for t in found.uncertainty.trade_offs],
             "effective_samples": found.uncertainty.effective_samples,
             "cross_check": {

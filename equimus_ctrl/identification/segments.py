@@ -167,6 +167,7 @@ def cut(
     window: tuple[float, float] | None = None,
     shoot: float | None = None,
     fit_start: bool = False,
+    from_first_row: bool = False,
 ) -> list[Segment]:
     """The segments of some recordings.
 
@@ -177,6 +178,7 @@ def cut(
         shoot: cut what is compared into shooting intervals of this length, each from its own free positions and
             velocities [s]. Of a robot that need not start at rest each whole trial is one by default.
         fit_start: let each recording's first angles be free.
+        from_first_row: compare from the first row on, also where commands before it are unknown, see ``unknown_for``.
 
     Raises:
         ConfigError: where names do not match, or a recording or a shooting interval is too short to identify from.
@@ -204,7 +206,10 @@ def cut(
             measured = np.array(recording.position[inside])
             segments.append(Segment(trial, measured, index, recording.name, start, nj if fit_start else 0))
         else:
-            segments += _shooting_intervals(model, recording, index, inside, shoot or math.inf, zeros, channels)
+            length = min(shoot or math.inf, float(time[inside][-1] - time[inside][0]))
+            if not from_first_row:
+                inside = inside & (time >= time[0] + unknown_for(model, recording, length))
+            segments += _shooting_intervals(model, recording, index, inside, length, zeros, channels)
     return segments
 
 
@@ -224,9 +229,6 @@ def _shooting_intervals(
     """What is compared cut into intervals of about a length [s], each from its own free positions and velocities."""
     time = recording.time
     low, high = time[inside][0], time[inside][-1]
-    length = min(length, float(high - low))
-    inside = inside & (time >= time[0] + unknown_for(model, recording, length))
-    low = time[inside][0]
     edges = np.linspace(low, high, max(round((high - low) / length), 1) + 1)
     span = slope_span(model, recording)
     trust = None if model.robot.traits.smooth_motion else start_trust(recording, span)

@@ -48,7 +48,8 @@ class IdentifyOptions:
         also: names or patterns of recorded columns that are compared beside joint positions: ``vel.*``, ``site.*``,
             ``meas.*``.
         zero_per_trial: names or patterns of joints whose sensors have an unknown zero of their own in each trial.
-        fit_start: estimate each trial's first angles too.
+        fit_start: estimate each trial's first angles too, from what was measured: a tenth of a second of measurements
+            knows them less well than all of the motion does, and what it does not know would be taken for parameters.
         engine: ``"reduced"`` or ``"mujoco"``; by default see ``engines.choice.engine_for``.
         dt: physics step [s].
         folds: of the k-fold cross-validation; less than two for none.
@@ -81,7 +82,12 @@ class IdentifyOptions:
     )
     also: Sequence[str] = also_option()
     zero_per_trial: Sequence[str] = zero_option()
-    fit_start: bool = option(False, bool, "Estimate each trial's first angles too.", "--fit-start")
+    fit_start: bool = option(
+        True,
+        bool,
+        "Estimate each trial's first angles too (default), or take its first rows'.",
+        "--fit-start/--no-fit-start",
+    )
     engine: EngineName | None = engine_option()
     dt: float | None = dt_option()
     folds: int = option(4, int, "Of the k-fold cross-validation; 0 for none.")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -12,9 +12,14 @@ import numpy as np
 from equimus_ctrl.engines.base import Engine
 from equimus_ctrl.engines.choice import engine_for
 from equimus_ctrl.engines.predict import check_columns, predict
-from equimus_ctrl.errors import ConfigError
+from equimus_ctrl.errors import ConfigError, SimulationDiverged
+from equimus_ctrl.identification.residuals import followed
+from equimus_ctrl.identification.segments import LEAST_SAMPLES, cut
+from equimus_ctrl.identification.simulators import Simulator
+from equimus_ctrl.models.augmented import unknown_starts
 from equimus_ctrl.models.model import Model, nominal_model
 from equimus_ctrl.options import ScoreOptions, with_changes
+from equimus_ctrl.options.score import StartName
 from equimus_ctrl.recordings import read_set
 from equimus_ctrl.scenarios.scoring import on_grid
 from equimus_ctrl.types import Array, Recording
@@ -31,6 +36,7 @@ class TrialScore:
         rmse: (nj,) over the scored samples [rad or m].
         squares: (nj,) sum of squared errors over them [rad² or m²].
         samples: how many.
+        start: how it begins, see ``ScoreOptions``; measured where it has too few rows to fit a start to.
     """
 
     recording: Recording
@@ -38,6 +44,7 @@ class TrialScore:
     rmse: Array
     squares: Array
     samples: int
+    start: StartName
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,12 +56,14 @@ class RecordingsScore:
         trials: one score each.
         rmse: (nj,) over all samples of all trials [rad or m].
         engine: that predicted.
+        start: how trials begin, see ``ScoreOptions``.
     """
 
     model: Model
     trials: tuple[TrialScore, ...]
     rmse: Array
     engine: Engine
+    start: StartName
 
     def to_dict(self) -> dict[str, Any]:
         """What ``score --json`` prints."""
@@ -66,8 +75,9 @@ class RecordingsScore:
         return {
             "model": self.model.name,
             "engine": self.engine.to_dict(),
+            "start": self.start,
             "rmse_rad": table(self.rmse),
-            "trials": [{"name": t.recording.name, "rmse_rad": table(t.rmse)} for t in self.trials],
+            "trials": [{"name": t.recording.name, "start": t.start, "rmse_rad": table(t.rmse)} for t in self.trials],
         }
 
 
@@ -99,7 +109,7 @@ def score_recordings(
     progress: Callable[[float], None] | None = None,
     **changes: Any,
 ) -> RecordingsScore:
-    """Open-loop prediction error of a model, each trial from its own measured start.
+    """Open-loop prediction error of a model, each trial whole, from a start of its own, see ``ScoreOptions``.
 
     Args:
         recordings: files, folders or trials.
@@ -109,7 +119,8 @@ def score_recordings(
         **changes: of the options, one by one.
 
     Raises:
-        EquimusError: where a recording or the model cannot be used, or a window holds no samples.
+        EquimusError: where a recording or the model cannot be used, a simulation diverges, or a window holds no
+            samples.
     """
     model = model or nominal_model()
     options = with_changes(ScoreOptions, options, changes)
@@ -118,16 +129,35 @@ def score_recordings(
         check_columns(model, trial)
     scores = []
     chosen = engine_for(model, options.engine, positions=[trial.poses for trial in trials])
+    start: StartName = options.start or ("measured" if model.robot.traits.starts_at_rest else "fitted")
     for k, trial in enumerate(trials):
-        predicted = predict(model, trial, engine=chosen.name)
+        own: StartName = start if len(trial.time) >= LEAST_SAMPLES else "measured"
+        predicted = (_from_fitted_start if own == "fitted" else _from_measured_start)(model, trial, chosen)
         error = _scored_error(trial, predicted, options.window, options.rate)
         squares = (error**2).sum(axis=0)
-        scores.append(TrialScore(trial, predicted, np.sqrt(squares / len(error)), squares, len(error)))
+        scores.append(TrialScore(trial, predicted, np.sqrt(squares / len(error)), squares, len(error), own))
         if progress is not None:
             progress((k + 1) / len(trials))
     total = sum(s.samples for s in scores)
     rmse = np.sqrt(np.sum([s.squares for s in scores], axis=0) / total)
-    return RecordingsScore(model, tuple(scores), rmse, chosen)
+    return RecordingsScore(model, tuple(scores), rmse, chosen, start)
+
+
+def _from_measured_start(model: Model, trial: Recording, engine: Engine) -> Array:
+    return predict(model, trial, engine=engine.name)
+
+
+def _from_fitted_start(model: Model, trial: Recording, engine: Engine) -> Array:
+    """(n, nj) positions at the trial's times, from the start that predicts them best."""
+    simulator = Simulator(engine)
+    segments = [replace(segment, may_remember=True) for segment in cut(model, [trial], from_first_row=True)]
+    (start,), _ = followed(model, segments, simulator)
+    (found,) = simulator([model], [segments[0].with_unknown(unknown_starts(model.effects))], [start[None, :]])
+    if (reached := int(found.reached[0])) < len(trial.time):
+        raise SimulationDiverged(
+            f"{trial.name}: the simulation of {model.name} diverged at {trial.time[reached]:.3f} s"
+        )
+    return np.asarray(found.position[0][:, : len(trial.joints)])
 
 
 def _scored_error(trial: Recording, predicted: Array, window: tuple[float, float] | None, rate: float | None) -> Array:
