@@ -131,6 +131,8 @@ RIG = MjcfRobot(
 )
 
 
+BARE = MjcfRobot("bare", RIG.xml.replace('armature="0.05"', "").replace('armature="0.2"', ""))
+"""The rig without rotors."""
 HINGES = MjcfRobot("hinges", RIG.xml.replace('type="slide" axis="0 0 -1"', 'axis="0 1 0"'))
 """The rig with a second hinge, behind a spring, in the place of its slide."""
 

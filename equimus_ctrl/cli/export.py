@@ -24,6 +24,7 @@ def export(
         Path | None,
         typer.Option("--output", "-o", metavar="FILE.xml", help="File to write; the model's name and .xml by default."),
     ] = None,
+    file_format: Annotated[str, typer.Option("--format", help="mjcf: the XML of MuJoCo 4.")] = "mjcf",
     chosen: ModelChoice,
     options: ExportOptions,
     plugins: PluginFiles = None,
@@ -49,7 +50,9 @@ def export(
     chosen = replace(chosen, model=source or chosen.model)
     workflow.load_plugins(plugins or ())
     model = chosen.read()
-    done = workflow.export_model(output or Path(f"{model.name}.xml"), model, options, near=chosen.model)
+    done = workflow.export_model(
+        output or Path(f"{model.name}.xml"), model, options, format=file_format, near=chosen.model
+    )
     for effect in done.model.effects:
         console.print(f"{effect.name} at {effect.location}: {effect.mjcf_form}", markup=False, soft_wrap=True)
     for effect in done.left_out:

@@ -217,7 +217,9 @@ def _point_mass(body: mujoco.MjsBody, mass: float) -> None:
 
 
 def build_spec(morphology: Morphology, phase: Phase = "swing", settings: SolverSettings | None = None) -> mujoco.MjSpec:
-    """The MjSpec of a morphology, base fixed (swing) or foot pinned (stance).
+    """The MjSpec of a morphology, base fixed (swing) or foot pinned (stance), with all joints at 0 and without stops.
+
+    ``compile_model`` adds joint stops, ``close_elements`` closes elements; ``export_model`` writes files with both.
 
     In stance the base slides freely in the plane and keeps its orientation, and an equality pins the foot to the
     world's site ``foothold``.

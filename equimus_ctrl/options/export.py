@@ -1,17 +1,14 @@
 """Options of ``export``."""
-# ruff: noqa: RUF009 – options are fields, made as ``dataclasses.field`` makes them
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal, get_args
 
-from equimus_ctrl.errors import ConfigError, unknown_name
+from equimus_ctrl.errors import ConfigError
 from equimus_ctrl.options.fields import NAMES
 from equimus_ctrl.options.offers import option
 
-Format = Literal["mjcf"]
 LEAST_STEP, MOST_STEP = 1e-5, 0.05
 """Between what a physics step of a file can be [s]."""
 
@@ -21,7 +18,6 @@ class ExportOptions:
     """How a model is written for another program.
 
     Attributes:
-        format: ``"mjcf"``, MuJoCo's XML.
         leave_out: effects that are not written, each a name or ``NAME@PLACE``.
         timestep: physics step of the file; the XML's own by default, 2 ms of a robot with elastic actuators [s].
         force: whether a file that is there is replaced.
@@ -30,7 +26,6 @@ class ExportOptions:
         ConfigError: for a value that cannot be.
     """
 
-    format: Format = option("mjcf", str, "mjcf, MuJoCo's XML.")
     leave_out: Sequence[str] = option(
         (),
         NAMES,
@@ -46,7 +41,5 @@ class ExportOptions:
 
     def __post_init__(self) -> None:
         """Check the values."""
-        if self.format not in get_args(Format):
-            raise ConfigError(unknown_name("format", self.format, get_args(Format), "export"))
         if self.timestep is not None and not LEAST_STEP <= self.timestep <= MOST_STEP:
             raise ConfigError(f"the physics step is {self.timestep:g} s, expected {LEAST_STEP:g} to {MOST_STEP:g}")

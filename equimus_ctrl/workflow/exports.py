@@ -30,6 +30,7 @@ STEP = 2e-3
 """Physics step of the file of a robot with elastic actuators, of few digits and near to the plant's own [s]."""
 INTEGRATOR = "RK4"
 """Its integrator, which follows the exact equations several hundred times as closely as MuJoCo's others."""
+FORMATS = ("mjcf",)
 KEY = "rest"
 """What the keyframe is called in which such a robot rests under its lowest commands."""
 
@@ -87,6 +88,7 @@ def export_model(
     model: Model | None = None,
     options: ExportOptions | None = None,
     *,
+    format: str = "mjcf",
     near: Path | None = None,
     **changes: Any,
 ) -> Export:
@@ -96,6 +98,7 @@ def export_model(
         path: of the file, ``.xml``.
         model: the nominal leg by default.
         options: see ``ExportOptions``.
+        format: ``"mjcf"``, MuJoCo's XML; there is no other yet.
         near: file that the model was read from, beside which the meshes are that an MJCF robot's XML names.
         **changes: of the options, one by one.
 
@@ -105,6 +108,8 @@ def export_model(
     """
     path, model = Path(path), model or nominal_model()
     options = with_changes(ExportOptions, options, changes)
+    if format not in FORMATS:
+        raise ConfigError(unknown_name("format", format, FORMATS, "export"))
     presets.check_xml(path)
     outputs.check_new(path, options.force)
     kept, out = _without(model, options.leave_out)
