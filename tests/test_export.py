@@ -128,6 +128,22 @@ def test_a_leg_hits_its_stops(name: str, tmp_path: Path) -> None:
     np.testing.assert_allclose(legs_file(model, path, trial), exact, rtol=0, atol=1e-3)
 
 
+def test_a_quick_robot_has_shorter_steps(tmp_path: Path) -> None:
+    """A finger's stop is too stiff for 2 ms, with which it would be ten times as far off."""
+    model = eq.load_model(Path(__file__).parents[1] / "docs" / "examples" / "finger.toml")
+    path = written(model, tmp_path)
+    assert mujoco.MjModel.from_xml_path(str(path)).opt.timestep == 5e-4
+    start, (low, high) = begins(path, model.robot.joint_names), model.robot.command_limits
+    times = 0.3 * np.arange(5)
+    commands = low + np.outer([0, 0.3, 1, 0.1, 0.7], high - low)
+    trial = Trial("finger", times, commands, low, 0.0, start, np.arange(0.0, 1.8, 0.02))
+    exact = reduced(model, trial)
+    assert exact.max() > model.robot.joint_range[1][0]
+    np.testing.assert_allclose(legs_file(model, path, trial), exact, rtol=0, atol=1e-3)
+    coarse = written(model, tmp_path, timestep=2e-3)
+    assert np.abs(legs_file(model, coarse, trial) - exact).max() > 3e-3
+
+
 def test_a_leg_without_stops_is_written_without(tmp_path: Path) -> None:
     joints: tuple[Joint, ...] = tuple(replace(joint, lower=None, upper=None) for joint in LEG.joints)
     model = Model(replace(LEG, joints=joints))
@@ -257,6 +273,13 @@ def test_an_effect_of_ones_own_is_refused_where_it_does_not_say_how_it_is_writte
 
 
 # --- effects together ---------------------------------------------------------------------------------------------
+
+
+def test_a_model_of_several_units_is_not_one_file(tmp_path: Path) -> None:
+    model = Model(LEG).with_groups({"monday": {"calf.mass": 0.12}, "tuesday": {"calf.mass": 0.11}})
+    told = refusal(lambda: eq.export_model(tmp_path / "a.xml", model))
+    assert "has other parameters in monday, tuesday" in told and "in_group('monday')" in told
+    assert eq.export_model(tmp_path / "a.xml", model.in_group("monday")).model.parameters()["calf.mass"] == 0.12
 
 
 def test_effects_act_together(tmp_path: Path) -> None:

@@ -11,7 +11,7 @@ from typing import Any
 import mujoco
 import numpy as np
 import pytest
-from mjcf_models import ARM, CRANE, PENDULUM, pendulum, refusal
+from mjcf_models import ARM, CRANE, PENDULUM, corrected_xml, pendulum, refusal
 
 from equimus_ctrl.effects import (
     ActuatorGain,
@@ -45,7 +45,7 @@ from equimus_ctrl.robots.mjcf.inertia import SHAPE
 from equimus_ctrl.robots.mjcf.robot import MjcfRobot
 from equimus_ctrl.types import Array
 from equimus_ctrl.workflow import load_mjcf, load_model, save_model
-from equimus_ctrl.workflow.exports import mjcf_of_model, write_corrected
+from equimus_ctrl.workflow.exports import write_corrected
 
 
 def driven(robot: MjcfRobot, until: float = 1.0) -> Trial:
@@ -55,12 +55,6 @@ def driven(robot: MjcfRobot, until: float = 1.0) -> Trial:
     commands = np.round(1.5 * np.sin(1.7 * k + i), 3) / (1 + 2 * i)
     start = np.linspace(0.4, 0.1, len(robot.joints))
     return Trial("t", times, commands, commands[0], 0.0, start, np.arange(0.0, until + 1e-9, 0.025))
-
-
-def corrected_xml(model: Model) -> tuple[str, tuple[str, ...]]:
-    """The XML of a model, and what it does not hold."""
-    written = mjcf_of_model(model)
-    return written.xml, written.missing
 
 
 def moved(model: Model, trial: Trial | None = None) -> Array:

@@ -19,7 +19,8 @@ class ExportOptions:
 
     Attributes:
         leave_out: effects that are not written, each a name or ``NAME@PLACE``.
-        timestep: physics step of the file; the XML's own by default, 2 ms of a robot with elastic actuators [s].
+        timestep: physics step of the file; the XML's own by default, of a robot with elastic actuators 2 ms, or less
+            where its stops ask for that [s].
         force: whether a file that is there is replaced.
 
     Raises:
@@ -35,7 +36,8 @@ class ExportOptions:
     timestep: float | None = option(
         None,
         float | None,
-        "Physics step of the file, in s; the XML's own by default, 0.002 of a robot with elastic actuators.",
+        "Physics step of the file, in s; the XML's own by default, of a robot with elastic actuators 0.002, or less "
+        "where its stops ask for that.",
     )
     force: bool = option(False, bool, "Replace the file where it is there already; else it is refused.", "--force")
 

@@ -18,16 +18,19 @@ from equimus_ctrl.effects.valves import valve_settings
 from equimus_ctrl.effects.written import Unwritten, write_effects
 from equimus_ctrl.engines.mjcf_realised import realise
 from equimus_ctrl.engines.rest import rest_pose
+from equimus_ctrl.engines.steps import step_divisor
 from equimus_ctrl.errors import ConfigError, ModelError, unknown_name
 from equimus_ctrl.models.mjcf import SolverSettings
 from equimus_ctrl.models.mjcf_file import add_keyframes, closed_spec
 from equimus_ctrl.models.model import Model, nominal_model
 from equimus_ctrl.options import ExportOptions, with_changes
+from equimus_ctrl.robots.elastic.morphology import Morphology, Phase
 from equimus_ctrl.robots.mjcf.export import copy_numbers, exported, fill_keyframes, finish, with_comment
 from equimus_ctrl.types import Array
 
-STEP = 2e-3
-"""Physics step of the file of a robot with elastic actuators, of few digits and near to the plant's own [s]."""
+STEPS = (2e-3, 1e-3, 5e-4, 2e-4, 1e-4, 5e-5, 2e-5)
+"""Physics steps of files of robots with elastic actuators, of few digits: the longest that follows a robot's motion and
+its stops [s]."""
 INTEGRATOR = "RK4"
 """Its integrator, which follows the exact equations several hundred times as closely as MuJoCo's others."""
 FORMATS = ("mjcf",)
@@ -103,8 +106,8 @@ def export_model(
         **changes: of the options, one by one.
 
     Raises:
-        ConfigError: where the file is there already or cannot be written, or where MuJoCo cannot hold an effect that
-            was not to be left out.
+        ConfigError: where the file is there already or cannot be written, the model differs between groups of trials,
+            or MuJoCo cannot hold an effect that was not to be left out.
     """
     path, model = Path(path), model or nominal_model()
     options = with_changes(ExportOptions, options, changes)
@@ -112,6 +115,12 @@ def export_model(
         raise ConfigError(unknown_name("format", format, FORMATS, "export"))
     presets.check_xml(path)
     outputs.check_new(path, options.force)
+    if model.by_group:
+        groups = [group for group, _ in model.by_group]
+        raise ConfigError(
+            f"{model.name}: has other parameters in {', '.join(groups)}, expected one of these models, such as "
+            f"model.in_group({groups[0]!r})"
+        )
     kept, out = _without(model, options.leave_out)
     folder = "" if near is None else presets.relative(_folder(near, model), path.parent)
     written = mjcf_of_model(kept, folder, options.timestep, [_label(e) for e in out])
@@ -127,7 +136,7 @@ def mjcf_of_model(model: Model, folder: str = "", timestep: float | None = None,
     Args:
         model: of any robot.
         folder: where the files are that it names, as seen from where the XML is to be.
-        timestep: its physics step; the XML's own by default, of a robot with elastic actuators ``STEP`` [s].
+        timestep: its physics step; the XML's own by default, of a robot with elastic actuators one of ``STEPS`` [s].
         left: what was left out, for a comment that also names what the XML cannot hold.
     """
     return WRITERS[model.robot.traits.catalogue](model, folder, timestep, left)
@@ -158,8 +167,8 @@ def _of_mjcf(model: Model, folder: str, timestep: float | None, left: Sequence[s
 
 def _of_elastic(model: Model, folder: str, timestep: float | None, left: Sequence[str]) -> Written:
     robot = changed_bodies(model.effects, model.morphology)
-    settings = SolverSettings(timestep=timestep or STEP, integrator=INTEGRATOR)
     begins = _begins(model)
+    settings = SolverSettings(timestep=timestep or _step(robot, model.phase, begins), integrator=INTEGRATOR)
     spec = closed_spec(robot, model.phase, settings, begins)
     before = spec.compile()
     draft = Draft(spec.compile())
@@ -181,6 +190,12 @@ WRITERS: Mapping[Robots, Callable[[Model, str, float | None, Sequence[str]], Wri
     "mjcf": _of_mjcf,
 }
 """Kind of robots (``RobotTraits.catalogue``) → how one is written: model, folder, step, what was left out."""
+
+
+def _step(robot: Morphology, phase: Phase, begins: Array) -> float:
+    """The longest step that follows a robot [s]."""
+    longest = STEPS[0] / step_divisor(robot, phase, [begins], STEPS[0])
+    return next((step for step in STEPS if step <= longest), STEPS[-1])
 
 
 def _begins(model: Model) -> Array:
