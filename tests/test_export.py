@@ -129,7 +129,7 @@ def test_a_leg_hits_its_stops(name: str, tmp_path: Path) -> None:
 
 
 def test_a_quick_robot_has_shorter_steps(tmp_path: Path) -> None:
-    """A finger's stop is too stiff for 2 ms, with which it would be ten times as far off."""
+    """A finger's stop is too stiff for 2 ms, with which it would never come to rest there."""
     model = eq.load_model(Path(__file__).parents[1] / "docs" / "examples" / "finger.toml")
     path = written(model, tmp_path)
     assert mujoco.MjModel.from_xml_path(str(path)).opt.timestep == 5e-4
@@ -139,9 +139,11 @@ def test_a_quick_robot_has_shorter_steps(tmp_path: Path) -> None:
     trial = Trial("finger", times, commands, low, 0.0, start, np.arange(0.0, 1.8, 0.02))
     exact = reduced(model, trial)
     assert exact.max() > model.robot.joint_range[1][0]
-    np.testing.assert_allclose(legs_file(model, path, trial), exact, rtol=0, atol=1e-3)
+    own = legs_file(model, path, trial)
+    np.testing.assert_allclose(own, exact, rtol=0, atol=1e-3)
+    np.testing.assert_allclose(own[-5:], exact[-5:], rtol=0, atol=1e-5)
     coarse = written(model, tmp_path, timestep=2e-3)
-    assert np.abs(legs_file(model, coarse, trial) - exact).max() > 3e-3
+    assert np.abs(legs_file(model, coarse, trial) - exact)[-5:].max() > 3e-4
 
 
 def test_a_leg_without_stops_is_written_without(tmp_path: Path) -> None:
