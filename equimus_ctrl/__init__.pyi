@@ -79,6 +79,7 @@ from .options import (
     AutotuneOptions as AutotuneOptions,
     CompareOptions as CompareOptions,
     DiagnoseOptions as DiagnoseOptions,
+    ExportOptions as ExportOptions,
     IdentifyOptions as IdentifyOptions,
     ProveOptions as ProveOptions,
     ScoreOptions as ScoreOptions,
@@ -140,6 +141,7 @@ from .types import (
 from .workflow import (
     compare as compare,
     diagnose_recordings as diagnose_recordings,
+    export_model as export_model,
     identify_poses as identify_poses,
     identify_recordings as identify_recordings,
     load_plugins as load_plugins,

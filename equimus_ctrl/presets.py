@@ -221,14 +221,23 @@ def check_folder(path: Path) -> None:
 
 def check_toml(path: Path) -> None:
     """Raise ConfigError where a TOML file cannot be written, or would take the place of some other kind of file."""
+    _check_file(path, ".toml", "TOML")
+
+
+def check_xml(path: Path) -> None:
+    """The same of an XML file."""
+    _check_file(path, ".xml", "XML")
+
+
+def _check_file(path: Path, suffix: str, what: str) -> None:
     try:
         check_folder(path.parent)
     except ConfigError as error:
         raise ConfigError(f"{path}: cannot be written; {error}") from None
     if path.is_dir():
         raise ConfigError(f"{path}: is a folder; a file to write belongs there")
-    if path.suffix.lower() != ".toml":
-        raise ConfigError(f"{path}: what is written there is TOML; expected a name that ends in .toml")
+    if path.suffix.lower() != suffix:
+        raise ConfigError(f"{path}: what is written there is {what}; expected a name that ends in {suffix}")
 
 
 def make_folder(path: Path) -> None:

@@ -16,6 +16,7 @@ from equimus_ctrl.errors import EquimusError
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.robots.mjcf.robot import MjcfRobot
 from equimus_ctrl.types import Array
+from equimus_ctrl.workflow.exports import mjcf_of_model
 
 ARM = """<mujoco model="crane">
   <compiler angle="radian"/>
@@ -60,6 +61,12 @@ PENDULUM = MjcfRobot("pendulum", pendulum(), source="pendulum.xml")
 def slider(drive: str = '<motor name="motor" joint="way"/>') -> str:
     return f"""<mujoco><worldbody><body name="cart"><joint name="way" type="slide" axis="1 0 0"/>
       <inertial mass="2" pos="0 0 0" diaginertia="0.1 0.1 0.1"/></body></worldbody><actuator>{drive}</actuator></mujoco>"""
+
+
+def corrected_xml(model: Model) -> tuple[str, tuple[str, ...]]:
+    """The XML of a model, and what it does not hold."""
+    written = mjcf_of_model(model)
+    return written.xml, written.missing
 
 
 def refusal(make: Callable[[], Any]) -> str:
@@ -131,6 +138,8 @@ RIG = MjcfRobot(
 )
 
 
+BARE = MjcfRobot("bare", RIG.xml.replace('armature="0.05"', "").replace('armature="0.2"', ""))
+"""The rig without rotors."""
 HINGES = MjcfRobot("hinges", RIG.xml.replace('type="slide" axis="0 0 -1"', 'axis="0 1 0"'))
 """The rig with a second hinge, behind a spring, in the place of its slide."""
 

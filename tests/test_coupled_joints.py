@@ -6,7 +6,7 @@ import mujoco
 import numpy as np
 import pytest
 from coupled_arm import ARM_OF_HINGES, driven, gear, recorded_alone, stepped, xml_of
-from mjcf_models import HINGES, RIG, refusal
+from mjcf_models import HINGES, RIG, corrected_xml, refusal
 
 from equimus_ctrl import workflow
 from equimus_ctrl.diagnosis.hypothesis import Candidate, default_free_parameters
@@ -27,7 +27,6 @@ from equimus_ctrl.engines.trials import Trial
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.robots.mjcf.robot import MjcfRobot
 from equimus_ctrl.types import Array, Recording
-from equimus_ctrl.workflow.mjcf import corrected_xml
 
 CASES: list[tuple[Effect, str]] = [
     (CoupledFriction("shoulder", 0.15), gear(1, frictionloss=0.15)),

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 from effect_cases import CASES
-from mjcf_models import DT, HINGES, RIG, M, Ran, cart, run, swinging
+from mjcf_models import BARE, DT, HINGES, RIG, M, Ran, cart, run, swinging
 from scipy.integrate import solve_ivp
 
 from equimus_ctrl.diagnosis.hypothesis import Candidate, Part
@@ -28,9 +28,6 @@ AT = {
     "shoulder": {"joint": "shoulder", "actuator": "lift", "foot": "tip", "link": "arm", "base": "base"},
     "reach": {"joint": "reach", "actuator": "push", "foot": "tip", "link": "rod", "base": "base"},
 }
-
-
-BARE = MjcfRobot("bare", RIG.xml.replace('armature="0.05"', "").replace('armature="0.2"', ""))
 
 
 def rig(name: str, joint: str) -> MjcfRobot | None:

@@ -32,6 +32,7 @@ from equimus_ctrl.effects import (
     catalogue,
 )
 from equimus_ctrl.effects.bodies import changed_bodies
+from equimus_ctrl.effects.native import Draft
 from equimus_ctrl.identification.parameters import free_parameters, unit_of
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.robots.elastic.leg import nominal_leg
@@ -195,7 +196,7 @@ def test_a_tether_is_written_as_a_tendon(length: float) -> None:
     for robot, place in ((CRANE, "tip"), (cart(), "box")):
         tied = robot.with_tether(place, 20.0, (0.4, 0.2, -0.3), length)
         own = tied.mujoco_model()
-        again = mujoco.MjModel.from_xml_string(exported(tied, own))
+        again = mujoco.MjModel.from_xml_string(exported(tied, Draft(own)))
         for model in (own, again):
             data = mujoco.MjData(model)
             data.qpos[:] = 0.2

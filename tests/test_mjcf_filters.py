@@ -7,9 +7,11 @@ from dataclasses import replace
 import mujoco
 import numpy as np
 import pytest
+from mjcf_models import corrected_xml
 
 from equimus_ctrl import workflow
 from equimus_ctrl.effects import FirstOrderLag, TransportDelay
+from equimus_ctrl.effects.native import Draft
 from equimus_ctrl.engines.mjcf import filled, joint_forces, simulate_mjcf
 from equimus_ctrl.engines.mjcf_realised import realise
 from equimus_ctrl.engines.trials import Trial
@@ -18,7 +20,6 @@ from equimus_ctrl.models.model import Model
 from equimus_ctrl.robots.mjcf.export import exported
 from equimus_ctrl.robots.mjcf.robot import MjcfRobot
 from equimus_ctrl.types import Array, Recording
-from equimus_ctrl.workflow.mjcf import corrected_xml
 
 MASS, TAU, DT = 2.0, 0.08, 1e-3
 FORCE = f'<general name="motor" joint="way" dyntype="filterexact" dynprm="{TAU}"/>'
@@ -108,7 +109,7 @@ def test_the_time_constant_is_a_number_that_is_identified_and_written() -> None:
     found = workflow.identify_recordings(recorded(robot), model, free=["motor.time_constant"], folds=0)
     assert found.fit.model.parameters()["motor.time_constant"] == pytest.approx(TAU, rel=0.02)
     robot = robot.with_parameters({"motor.time_constant": 0.05})
-    again = mujoco.MjModel.from_xml_string(exported(robot, robot.mujoco_model()))
+    again = mujoco.MjModel.from_xml_string(exported(robot, Draft(robot.mujoco_model())))
     assert again.actuator_dynprm[0, 0] == 0.05
 
 

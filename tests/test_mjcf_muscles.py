@@ -20,7 +20,7 @@ from equimus_ctrl.identification.channels import Channels
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.robots.mjcf.robot import MjcfRobot
 from equimus_ctrl.types import Array, Recording
-from equimus_ctrl.workflow.mjcf import write_corrected
+from equimus_ctrl.workflow.exports import write_corrected
 
 ARM = """<mujoco model="muscled"><compiler angle="radian"/>
   <option timestep="0.002" integrator="implicitfast"/><worldbody><body name="arm">

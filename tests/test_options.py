@@ -11,7 +11,7 @@ import pytest
 import typer
 
 from equimus_ctrl import workflow
-from equimus_ctrl.cli import autotune, compare, diagnose, identify, prove, score, sensitivity, validate
+from equimus_ctrl.cli import autotune, compare, diagnose, export, identify, prove, score, sensitivity, validate
 from equimus_ctrl.cli.main import app, main
 from equimus_ctrl.cli.model_choice import ModelChoice
 from equimus_ctrl.cli.options import filled
@@ -22,6 +22,7 @@ from equimus_ctrl.options import (
     AutotuneOptions,
     CompareOptions,
     DiagnoseOptions,
+    ExportOptions,
     IdentifyOptions,
     ProveOptions,
     ScoreOptions,
@@ -40,6 +41,7 @@ VERBS: dict[str, tuple[Any, type[Any], Any, str, list[str]]] = {
     "autotune-pid": (autotune.autotune_pid, AutotuneOptions, workflow, "autotune", []),
     "compare": (compare.compare, CompareOptions, workflow, "compare", ["hold"]),
     "diagnose": (diagnose.diagnose, DiagnoseOptions, workflow, "diagnose_recordings", ["trials"]),
+    "export": (export.export, ExportOptions, workflow, "export_model", []),
     "identify": (identify.identify, IdentifyOptions, workflow, "identify_files", ["trials"]),
     "prove": (prove.prove, ProveOptions, proving, "put_to_proof", []),
     "score": (score.score, ScoreOptions, workflow, "score_recordings", ["trials"]),
@@ -77,6 +79,7 @@ EXAMPLES: dict[str, tuple[str, Any]] = {
     "quick": ("--quick", True),
     "rate": ("--rate 60", 60.0),
     "shares": ("--share 20 --share -5 --share 20", (-0.05, 0.2)),
+    "leave_out": ("--leave-out backlash --leave-out creep@maa", ["backlash", "creep@maa"]),
     "most": ("--most 2", 2),
     "output": ("-o mine.toml", Path("mine.toml")),
     "parameters": ("--parameters free.toml", Path("free.toml")),
@@ -89,6 +92,7 @@ EXAMPLES: dict[str, tuple[str, Any]] = {
     "select": ("--select step_*", ["step_*"]),
     "shoot": ("--shoot 2", 2.0),
     "threads": ("--threads 3", 3),
+    "timestep": ("--timestep 0.001", 0.001),
     "trials": ("--trials 2", 2),
     "test": ("--test last", ["last"]),
     "under": ("--condition delayed --condition noisy", ["delayed", "noisy"]),
@@ -200,6 +204,7 @@ def test_defaults_that_other_modules_have_too_are_the_same() -> None:
         (DiagnoseOptions, {"by": "day"}, "by: there is no grouping 'day'"),
         (DiagnoseOptions, {"threads": 0}, "threads is 0, expected at least 1"),
         (DiagnoseOptions, {"mots": 2}, "there is no option 'mots'; did you mean 'most'"),
+        (ExportOptions, {"timestep": 0.0}, "the physics step is 0 s, expected 1e-05 to 0.05"),
         (IdentifyOptions, {"folds": -1}, "the cross-validation has -1 folds, expected 0 or more"),
         (IdentifyOptions, {"threads": -2}, "threads is -2, expected at least 1"),
         (ScoreOptions, {"start": "fited"}, "there is no start 'fited'; did you mean 'fitted'?"),

@@ -16,6 +16,7 @@ from equimus_ctrl import workflow
 from equimus_ctrl.diagnosis.candidates import candidates
 from equimus_ctrl.diagnosis.place_excitation import excitation_of
 from equimus_ctrl.effects import GravityTilt, PayloadMass, PlaneContact
+from equimus_ctrl.effects.native import Draft
 from equimus_ctrl.engines.batch import simulate
 from equimus_ctrl.engines.mjcf import simulate_mjcf
 from equimus_ctrl.engines.trials import Trial
@@ -141,7 +142,7 @@ def test_it_is_written_as_a_contact_of_two_geoms(place: str) -> None:
     model = Model(robot, (PlaneContact(place, -0.25), PayloadMass(place, 0.3)))
     own = robot.with_surface(place, -0.25).with_payload(place, 0.3)
     first, found = own.mujoco_model(), []
-    for made in (first, mujoco.MjModel.from_xml_string(exported(own, first))):
+    for made in (first, mujoco.MjModel.from_xml_string(exported(own, Draft(first)))):
         found.append([float(forces(made, np.array([q]))[0]) for q in (0.2, 0.4, 2.5)])
     np.testing.assert_allclose(found[0], found[1], rtol=1e-5)  # an XML has six digits
     assert found[0][0] != 0 and found[0][2] == 0

@@ -8,7 +8,7 @@ from pathlib import Path
 import mujoco
 import numpy as np
 import pytest
-from mjcf_models import refusal
+from mjcf_models import corrected_xml, refusal
 
 from equimus_ctrl import workflow
 from equimus_ctrl.cli.main import main
@@ -32,7 +32,7 @@ from equimus_ctrl.recordings.smoothing import smoothed
 from equimus_ctrl.robots.mjcf.editing import Edits
 from equimus_ctrl.robots.mjcf.robot import MjcfRobot
 from equimus_ctrl.types import Array, PrescribedMotion, Recording
-from equimus_ctrl.workflow.mjcf import corrected_xml, with_prescribed
+from equimus_ctrl.workflow.mjcf import with_prescribed
 
 ARM = """<mujoco model="arm"><compiler angle="radian"/><option timestep="0.001"/><worldbody>
   <body name="upper"><joint name="shoulder" axis="0 1 0" armature="0.01" damping="0.3" range="-3 3"/>

@@ -7,7 +7,7 @@ from pathlib import Path
 import mujoco
 import numpy as np
 import pytest
-from mjcf_models import refusal
+from mjcf_models import corrected_xml, refusal
 from scipy.spatial.transform import Rotation
 
 from equimus_ctrl import workflow
@@ -20,7 +20,6 @@ from equimus_ctrl.robots.mjcf.editing import Edits
 from equimus_ctrl.robots.mjcf.free_base import POSE, joints_of, part, positions, sequence_for
 from equimus_ctrl.robots.mjcf.robot import MjcfRobot
 from equimus_ctrl.types import Array, Recording
-from equimus_ctrl.workflow.mjcf import corrected_xml
 
 FLYER = """<mujoco model="flyer"><compiler angle="radian"/><option timestep="0.0005"/><worldbody>
   <body name="hull" pos="0 0 1" euler="0 0 1"><freejoint name="base"/>

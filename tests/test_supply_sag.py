@@ -8,7 +8,7 @@ import mujoco
 import numpy as np
 import pytest
 from coupled_arm import ARM_OF_HINGES, recorded_alone
-from mjcf_models import DT, HINGES, RIG, cart, refusal, swinging
+from mjcf_models import DT, HINGES, RIG, cart, corrected_xml, refusal, swinging
 
 from equimus_ctrl import workflow
 from equimus_ctrl.effects import MotorDeadZone, SupplySag
@@ -19,7 +19,6 @@ from equimus_ctrl.models.model import Model, model_from_dict, model_to_dict
 from equimus_ctrl.report.diagnosis_sentences import sentence
 from equimus_ctrl.robots.mjcf.robot import MjcfRobot
 from equimus_ctrl.types import Array
-from equimus_ctrl.workflow.mjcf import corrected_xml
 
 DROP = 0.02
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import mujoco
 import numpy as np
 import pytest
-from mjcf_models import refusal
+from mjcf_models import corrected_xml, refusal
 
 from equimus_ctrl import workflow
 from equimus_ctrl.cli.main import main
@@ -22,7 +22,6 @@ from equimus_ctrl.identification.simulators import Simulator
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.recordings.csvfile import write
 from equimus_ctrl.types import Array, Recording
-from equimus_ctrl.workflow.mjcf import corrected_xml
 
 SWING = """<mujoco model="swing"><compiler angle="radian"/><option timestep="0.001"/><worldbody>
   <body name="cart"><joint name="rail" type="slide" axis="1 0 0" damping="2"/>

@@ -15,6 +15,7 @@ from equimus_ctrl.cli import (
     compare,
     diagnose,
     emulate,
+    export,
     hardware,
     identify,
     list_names,
@@ -47,6 +48,7 @@ app.command("autotune-pid")(autotune.autotune_pid)
 app.command("run")(run.run)
 app.command("compare")(compare.compare)
 app.command("emulate")(emulate.emulate)
+app.command("export")(export.export)
 app.command("score")(score.score)
 app.command("validate")(validate.validate)
 app.command("identify")(identify.identify)

@@ -11,6 +11,7 @@ from typing import Any, ClassVar, Literal, TypeVar, get_args
 
 from equimus_ctrl.effects.description import Curve, Description
 from equimus_ctrl.effects.excitation import Excitation
+from equimus_ctrl.effects.native import Draft
 from equimus_ctrl.effects.sizes import LAWS, WHOLES, Share, Size
 from equimus_ctrl.errors import ConfigError, unknown_name
 
@@ -36,9 +37,10 @@ class Effect:
     in ``nothing`` the value of its first parameter. ``grows_from`` and ``fades_to`` follow from these.
 
     A class has to say ``name``, ``sits_at`` and ``summary``; its base says ``side``. ``robots``, ``alike``,
-    ``exclusive``, ``delays``, ``discontinuous``, ``even``, ``special_cases``, ``tends_to``, the sizes of a proof and
-    the methods it says where the default is not right. Of a ``ForceEffect`` ``rubs``, ``loads``, ``scales``,
-    ``own_equations`` and, with dry friction, ``mujoco_flags`` follow from the methods that it has, whatever it says.
+    ``exclusive``, ``delays``, ``discontinuous``, ``even``, ``special_cases``, ``tends_to``, ``mjcf_form``, the sizes of
+    a proof and the methods it says where the default is not right. Of a ``ForceEffect`` ``rubs``, ``loads``,
+    ``scales``, ``own_equations`` and, with dry friction, ``mujoco_flags`` follow from the methods that it has, whatever
+    it says.
 
     Attributes:
         location: the joint, actuator or body it sits at.
@@ -98,6 +100,11 @@ class Effect:
     """Whether a proof also draws it with the same parameters at several places of the leg."""
     mjcf_sizes: ClassVar[tuple[Share, ...]] = ()
     """What a proof draws on MJCF robots: a share for each parameter; none where it draws it not."""
+
+    mjcf_form: ClassVar[str] = ""
+    """What of MuJoCo's holds its law in an XML, see ``write_mjcf``; empty where nothing does."""
+    mjcf_lacks: ClassVar[str] = "MuJoCo has no such law"
+    """Why nothing does, a phrase."""
 
     location: str
 
@@ -234,13 +241,13 @@ class Effect:
         """
         return ()
 
-    def write_mjcf(self, mujoco_model: Any) -> bool:
-        """Write it into an MJCF robot's own fields; whether these hold all of it then.
+    def write_mjcf(self, draft: Draft) -> str:
+        """Write it into what MuJoCo's XML has; why it does not hold all of it, a phrase, empty where it does.
 
         Args:
-            mujoco_model: a ``mujoco.MjModel``, from which an XML is written.
+            draft: from which an XML is written. Effects of commands' values come first, in the order in which they act.
         """
-        return False
+        return self.mjcf_lacks
 
     @classmethod
     def check_class(cls) -> None:

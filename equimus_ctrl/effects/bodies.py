@@ -12,6 +12,7 @@ import numpy as np
 from equimus_ctrl.effects.base import Effect, parameter, register
 from equimus_ctrl.effects.description import Description
 from equimus_ctrl.effects.excitation import Excitation
+from equimus_ctrl.effects.native import Draft
 from equimus_ctrl.effects.sizes import Share, Size
 
 
@@ -49,6 +50,7 @@ class BodyEffect(Effect):
 
     side = "force"
     simulated = True
+    mjcf_form = "what it makes of the robot's numbers"
 
     def changes(self, robot: Robot) -> dict[str, float]:
         """Parameter name → new value, see ``Morphology.with_parameters``."""
@@ -63,8 +65,8 @@ class BodyEffect(Effect):
         """
         return robot.with_parameters(self.changes(robot))
 
-    def write_mjcf(self, mujoco_model: Any) -> bool:
-        return True  # the robot that it makes is what is written
+    def write_mjcf(self, draft: Draft) -> str:
+        return ""  # the robot that it makes is what is written
 
 
 @register
@@ -80,6 +82,7 @@ class PayloadMass(BodyEffect):
     robots = ("elastic", "mjcf")
     sits_at = ("foot", "link")
     summary = "mass that is not in the model, at a link's tip"
+    mjcf_form = "`inertial` of the body"
     alike = False
     exclusive = "payload"
     leg_sizes = (Size("mass", 0.01, 0.3, "up to three times the calf's own; other numbers take up most of it"),)
@@ -106,6 +109,7 @@ class PayloadOffCentre(BodyEffect):
     robots = ("mjcf",)
     sits_at = ("link",)
     summary = "mass that is not in the model, beside a link's centre"
+    mjcf_form = "`inertial` of the body"
     alike = False
     exclusive = "payload"
     mjcf_sizes = (
@@ -165,6 +169,7 @@ class SpringTether(EndEffect):
     name = "spring_tether"
     robots = ("mjcf",)
     summary = "a spring to a point in the room: a hose, a cable, a balancer"
+    mjcf_form = "a spatial `tendon` with `stiffness`"
     alike = False
     exclusive = "spring_tether"
     mujoco_flags = ("spring",)
@@ -213,6 +218,7 @@ class TetherWithFreeLength(SpringTether):
     """
 
     name = "tether_with_free_length"
+    mjcf_form = "a spatial `tendon` with `stiffness` and `springlength`"
     summary = "the same with a length at which it is free of force: a coil spring, an elastic cord"
     even = ("x", "y", "z")
     mjcf_sizes = (*SpringTether.mjcf_sizes, Share("length", 0.1, 0.5, "linear", "none"))
@@ -268,6 +274,7 @@ class PlaneContact(EndEffect):
     name = "plane_contact"
     robots = ("mjcf",)
     summary = "a table or a floor that is not in the model"
+    mjcf_form = "a plane, a small sphere and a contact `pair` of both"
     alike = False
     nothing = None
     in_torques = False  # a contact's force follows from less than a millimetre, which measured angles do not show
@@ -304,6 +311,7 @@ class GravityTilt(BodyEffect):
     robots = ("elastic", "mjcf")
     sits_at = ("base",)
     summary = "the base is not level"
+    mjcf_form = "`gravity`"
     leg_sizes = (Size("angle", 0.015, 0.3, "1° to 17°; stiffness and rest lengths take up most of it", "either sign"),)
     mjcf_sizes = (Share("angle", 0.005, 0.15, "either sign", "none"),)
     angle: float = parameter("rad", -1.6, 1.6, "of gravity, from the base's downward axis")
@@ -333,6 +341,7 @@ class JointStop(BodyEffect):
     name = "joint_stop"
     sits_at = ("joint",)
     summary = "an end stop at another place or softer than modelled"
+    mjcf_form = "`range`, `solreflimit` and `solimplimit` of the joint or of a fixed `tendon` over it"
     nothing = None
     alike = False
     exclusive = "joint_stop"

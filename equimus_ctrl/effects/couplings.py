@@ -29,6 +29,7 @@ class JointCoupling(BodyEffect):
     sits_at = ("joint",)
     alike = False
     own_equations = True
+    mjcf_form = "a fixed `tendon` over both joints with `frictionloss` or `damping`"
     sign: ClassVar[int]
     """1 for the sum of both rates, −1 for their difference."""
 

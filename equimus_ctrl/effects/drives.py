@@ -18,7 +18,7 @@ from equimus_ctrl.effects.bodies import BodyEffect
 from equimus_ctrl.effects.description import CURVE_POINTS, Curve, Description
 from equimus_ctrl.effects.excitation import Excitation
 from equimus_ctrl.effects.force import ForceEffect, Parameters
-from equimus_ctrl.effects.native import add_constant_force
+from equimus_ctrl.effects.native import Draft, add_constant_force, add_ripple
 from equimus_ctrl.effects.sizes import Share
 from equimus_ctrl.effects.valves import ShapingEffect
 from equimus_ctrl.types import Array
@@ -40,6 +40,7 @@ class TorqueRipple(ForceEffect):
     robots = ("mjcf",)
     sits_at = ("joint",)
     summary = "a force that comes back along the way: a motor's cogging, a gear's ripple"
+    mjcf_form = "`cogging` of a passive `dcmotor`"
     alike = False
     neutral = {"sine": 0.0, "cosine": 0.0}  # noqa: RUF012
     mjcf_sizes = (
@@ -64,6 +65,9 @@ class TorqueRipple(ForceEffect):
         turn = 2 * math.pi * x / p["period"]
         return p["sine"] * ca.sin(turn) + p["cosine"] * ca.cos(turn)
 
+    def write_mjcf(self, draft: Draft) -> str:
+        return add_ripple(draft, self.location, self.sine, self.cosine, self.period, self.name)
+
     @classmethod
     def degenerate(cls, values: Mapping[str, float], excitation: Excitation) -> bool:
         return values["period"] > excitation.span  # less than one wave is any force of the coordinate
@@ -86,6 +90,7 @@ class ConstantForce(ForceEffect):
     robots = ("mjcf",)
     sits_at = ("joint",)
     summary = "a constant force: a drive's offset, a weight on a string"
+    mjcf_form = "`biasprm` of the joint's actuator, or `cogging` of no period of a passive `dcmotor`"
     alike = False
     neutral = {"size": 0.0}  # noqa: RUF012
     mjcf_sizes = (Share("size", 0.003, 0.3, "either sign"),)
@@ -95,8 +100,8 @@ class ConstantForce(ForceEffect):
     def force(cls, x: ca.SX, rate: ca.SX, z: Sequence[ca.SX], p: Parameters) -> ca.SX:
         return p["size"]
 
-    def write_mjcf(self, mujoco_model: Any) -> bool:
-        return add_constant_force(mujoco_model, self.location, self.size)
+    def write_mjcf(self, draft: Draft) -> str:
+        return add_constant_force(draft, self.location, self.size, self.name)
 
     @classmethod
     def sentence(cls, t: Description) -> str:
@@ -112,6 +117,7 @@ class DriveCompliance(BodyEffect):
     robots = ("mjcf",)
     sits_at = ("joint",)
     summary = "a drive that gives way: a belt, a flexible gear"
+    mjcf_form = "a body and a joint of the rotor, and a `tendon` with `stiffness` and `damping`"
     in_torques = False
     mujoco_flags = ("damper", "spring")
     nothing = None
@@ -161,6 +167,7 @@ class DrivePlay(BodyEffect):
     robots = ("mjcf",)
     sits_at = ("joint",)
     summary = "play between drive and joint"
+    mjcf_form = "a body and a joint of the rotor, and a `tendon` with a `range`"
     in_torques = False
     mujoco_flags = ("constraint", "limit")
     alike = False
@@ -189,6 +196,7 @@ class RotorInertia(BodyEffect):
     robots = ("mjcf",)
     sits_at = ("joint",)
     summary = "an inertia that turns with the drive alone: a rotor behind a gear"
+    mjcf_form = "`armature`"
     exclusive = "rotor_inertia"
     mjcf_sizes = (Share("inertia", 0.02, 0.5),)
     inertia: float = parameter("kg·m²", 0.0, 1e4, "of the rotor, at the joint")
@@ -224,6 +232,7 @@ class MotorDeadZone(ShapingEffect):
     name = "motor_dead_zone"
     robots = ("mjcf",)
     summary = "small commands of either sign do nothing, and larger ones lose as much"
+    mjcf_lacks = "MuJoCo's gains have no dead zone"
     exclusive = "motor_dead_zone"
     order = 0
     mjcf_sizes = (Share("threshold", 0.02, 0.3),)
@@ -265,6 +274,7 @@ class SupplySag(ShapingEffect):
     robots = ("mjcf",)
     sits_at = ("base",)
     summary = "all drives exert less, the more all of them together ask of their supply"
+    mjcf_lacks = "MuJoCo's actuators know their own commands alone"
     exclusive = "supply_sag"
     order = 1
     within_ranges = True
@@ -310,6 +320,7 @@ class ActuatorGain(BodyEffect):
     robots = ("mjcf",)
     sits_at = ("actuator",)
     summary = "the drive exerts more or less force than its command says"
+    mjcf_form = "`gainprm` and `biasprm`, or `gear`"
     in_torques = False  # all that is needed could be less at once, masses included: least squares would prefer it
     nothing = 1.0
     exclusive = "actuator_gain"
@@ -343,6 +354,7 @@ class TorqueSaturation(BodyEffect):
     robots = ("mjcf",)
     sits_at = ("actuator",)
     summary = "the drive's force stops growing at a level"
+    mjcf_form = "`forcerange`"
     nothing = None
     exclusive = "torque_saturation"
     mjcf_sizes = (Share("level", 0.4, 0.97, "linear", "drive"),)

@@ -18,7 +18,7 @@ import numpy as np
 from equimus_ctrl.effects.base import REGISTRY, Effect, Robots, parameter, register
 from equimus_ctrl.effects.description import CURVE_MARGIN, CURVE_POINTS, Curve, Description
 from equimus_ctrl.effects.excitation import Excitation
-from equimus_ctrl.effects.native import add_spring
+from equimus_ctrl.effects.native import Draft, add_cubic_spring, add_friction, add_spring
 from equimus_ctrl.effects.sizes import Share, Size
 from equimus_ctrl.errors import FAILURES, ConfigError
 
@@ -144,8 +144,8 @@ class ForceEffect(Effect):
         what = "area, share of that at the rest length"
         return (Curve("area against the length", "length", "m", what, "1", x, area, 1.0, True),)
 
-    def write_mjcf(self, mujoco_model: Any) -> bool:
-        return self.mujoco_field is not None  # which holds it then
+    def write_mjcf(self, draft: Draft) -> str:
+        return "" if self.mujoco_field is not None else super().write_mjcf(draft)  # the field holds it
 
     @classmethod
     def depends(cls) -> set[str]:
@@ -234,6 +234,7 @@ class CoulombFriction(ForceEffect):
     robots = ("elastic", "mjcf")
     sits_at = ("joint", "actuator")
     summary = "dry friction"
+    mjcf_form = "`frictionloss` of the joint, or of the tendon that is an actuator's length"
     exclusive = "dry friction"
     neutral = {"friction": 0.0}  # noqa: RUF012
     leg_sizes = (
@@ -249,9 +250,9 @@ class CoulombFriction(ForceEffect):
     def dry_friction(cls, x: ca.SX, speed: ca.SX, p: Parameters) -> ca.SX:
         return p["friction"]
 
-    def write_mjcf(self, mujoco_model: Any) -> bool:
-        mujoco_model.dof_frictionloss[mujoco_model.joint(self.location).dofadr[0]] += self.friction
-        return True
+    def write_mjcf(self, draft: Draft) -> str:
+        add_friction(draft, self.location, self.friction)
+        return ""
 
     @classmethod
     def sentence(cls, t: Description) -> str:
@@ -269,6 +270,7 @@ class StribeckFriction(ForceEffect):
     robots = ("elastic", "mjcf")
     sits_at = ("joint",)
     summary = "static friction above the sliding one"
+    mjcf_lacks = "MuJoCo's frictionloss is a constant, and LuGre's curve falls otherwise and yields before it slides"
     exclusive = "dry friction"
     neutral = {"friction": 0.0, "breakaway": 0.0}  # noqa: RUF012
     leg_sizes = (
@@ -320,6 +322,7 @@ class ParallelSpring(ForceEffect):
     robots = ("elastic", "mjcf")
     sits_at = ("joint",)
     summary = "an unmodelled spring: a hose, a cable"
+    mjcf_form = "`stiffness` and `springref` of the joint"
     alike = False
     exclusive = "parallel_spring"
     neutral = {"stiffness": 0.0}  # noqa: RUF012
@@ -348,8 +351,8 @@ class ParallelSpring(ForceEffect):
     def force(cls, x: ca.SX, rate: ca.SX, z: Sequence[ca.SX], p: Parameters) -> ca.SX:
         return -p["stiffness"] * (x - p["rest"])
 
-    def write_mjcf(self, mujoco_model: Any) -> bool:
-        return add_spring(mujoco_model, self.location, self.stiffness, self.rest)
+    def write_mjcf(self, draft: Draft) -> str:
+        return add_spring(draft, self.location, self.stiffness, self.rest)
 
     @classmethod
     def sentence(cls, t: Description) -> str:
@@ -364,6 +367,7 @@ class NonlinearStiffness(ForceEffect):
     name = "nonlinear_stiffness"
     sits_at = ("actuator",)
     summary = "stiffening or softening"
+    mjcf_form = "the third coefficient of `stiffness` of the tendon that is the actuator's length"
     alike = False
     exclusive = "nonlinear_stiffness"
     neutral = {"cubic": 0.0}  # noqa: RUF012
@@ -388,6 +392,9 @@ class NonlinearStiffness(ForceEffect):
     def force(cls, x: ca.SX, rate: ca.SX, z: Sequence[ca.SX], p: Parameters) -> ca.SX:
         return -p["cubic"] * (x - p["centre"]) ** 3
 
+    def write_mjcf(self, draft: Draft) -> str:
+        return add_cubic_spring(draft, self.location, self.cubic, self.centre)
+
     @classmethod
     def sentence(cls, t: Description) -> str:
         cubic = t.value("cubic")
@@ -409,6 +416,7 @@ class NarrowingArea(ForceEffect):
     name = "narrowing_area"
     sits_at = ("actuator",)
     summary = "the area that pressure acts on shrinks as the actuator lengthens"
+    mjcf_lacks = "MuJoCo's gains are straight lines of the length"
     exclusive = "narrowing_area"
     neutral = {"loss": 0.0}  # noqa: RUF012
     leg_sizes = (Size("loss", 0.05, 1.2, "to a little more than a bag that keeps its volume"),)

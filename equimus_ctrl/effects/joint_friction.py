@@ -19,7 +19,7 @@ from equimus_ctrl.effects.drives import ConstantForce
 from equimus_ctrl.effects.excitation import Excitation
 from equimus_ctrl.effects.force import CoulombFriction, ForceEffect, Parameters
 from equimus_ctrl.effects.memory import presliding
-from equimus_ctrl.effects.native import add_constant_force
+from equimus_ctrl.effects.native import Draft, add_constant_force, add_friction, add_presliding_friction
 from equimus_ctrl.effects.sizes import Share
 
 UNLIKE = 1.3
@@ -37,6 +37,7 @@ class ViscousFriction(ForceEffect):
     robots = ("mjcf",)
     sits_at = ("joint",)
     summary = "friction in proportion to speed"
+    mjcf_form = "`damping`"
     mujoco_field = ("dof_damping", None)
     mujoco_flags = ("damper",)
     neutral = {"damping": 0.0}  # noqa: RUF012
@@ -61,6 +62,7 @@ class QuadraticDamping(ForceEffect):
     robots = ("mjcf",)
     sits_at = ("joint",)
     summary = "drag that grows with the square of speed"
+    mjcf_form = "the second coefficient of `damping`"
     mujoco_field = ("dof_dampingpoly", 0)
     mujoco_flags = ("damper",)
     neutral = {"drag": 0.0}  # noqa: RUF012
@@ -82,6 +84,7 @@ class _OverTime(ForceEffect):
     robots = ("mjcf",)
     sits_at = ("joint",)
     exclusive = "friction_drift"
+    mjcf_lacks = "MuJoCo has no damping that changes with time"
     n_states = 1
 
     @classmethod
@@ -195,6 +198,7 @@ class AsymmetricDamping(ForceEffect):
     robots = ("mjcf",)
     sits_at = ("joint",)
     summary = "viscous friction that differs between the two directions"
+    mjcf_lacks = "MuJoCo's polynomials of damping are odd in the speed"
     alike = False
     neutral = {"difference": 0.0}  # noqa: RUF012
     mjcf_sizes = (Share("difference", 0.01, 0.5, "either sign"),)
@@ -220,6 +224,7 @@ class AsymmetricFriction(ForceEffect):
     robots = ("mjcf",)
     sits_at = ("joint",)
     summary = "dry friction that differs between the two directions"
+    mjcf_form = "`frictionloss` and a constant force, see `constant_force`"
     alike = False
     exclusive = "dry friction"
     special_cases = {"friction": ("forward", "backward")}  # noqa: RUF012
@@ -255,12 +260,12 @@ class AsymmetricFriction(ForceEffect):
     def dry_friction(cls, x: ca.SX, speed: ca.SX, p: Parameters) -> ca.SX:
         return (p["forward"] + p["backward"]) / 2
 
-    def write_mjcf(self, mujoco_model: Any) -> bool:
+    def write_mjcf(self, draft: Draft) -> str:
         # Friction of the mean size, and what is left of the difference between the directions.
-        if not add_constant_force(mujoco_model, self.location, (self.backward - self.forward) / 2):
-            return False
-        mujoco_model.dof_frictionloss[mujoco_model.joint(self.location).dofadr[0]] += (self.forward + self.backward) / 2
-        return True
+        told = add_constant_force(draft, self.location, (self.backward - self.forward) / 2, self.name)
+        if not told:
+            add_friction(draft, self.location, (self.forward + self.backward) / 2)
+        return told
 
     @classmethod
     def reduces_to_simpler(cls, values: Mapping[str, float]) -> bool:
@@ -289,6 +294,7 @@ class DahlFriction(ForceEffect):
     robots = ("mjcf",)
     sits_at = ("joint",)
     summary = "dry friction with presliding: it builds up over a distance (Dahl)"
+    mjcf_form = "`lugre` of a passive `dcmotor`"
     exclusive = "dry friction"
     n_states = 1
     quick_states = True
@@ -318,6 +324,9 @@ class DahlFriction(ForceEffect):
     def state_rate(cls, x: ca.SX, rate: ca.SX, z: Sequence[ca.SX], p: Parameters) -> Sequence[ca.SX]:
         return (presliding(rate, z[0], p["distance"]),)
 
+    def write_mjcf(self, draft: Draft) -> str:
+        return add_presliding_friction(draft, self.location, self.friction, self.distance, self.name)
+
     @classmethod
     def rest_state(cls, x: ca.SX, p: Parameters) -> Sequence[ca.SX]:
         return (ca.SX(0),)
@@ -344,6 +353,7 @@ class LoadFriction(ForceEffect):
     robots = ("mjcf",)
     sits_at = ("joint",)
     summary = "dry friction in proportion to the drive's force"
+    mjcf_lacks = "MuJoCo's frictionloss is a constant"
     exclusive = "load friction"
     neutral = {"share": 0.0}  # noqa: RUF012
     mjcf_sizes = (Share("share", 0.01, 0.4),)
@@ -375,6 +385,7 @@ class DirectionalLoadFriction(ForceEffect):
     robots = ("mjcf",)
     sits_at = ("joint",)
     summary = "dry friction in proportion to the drive's force, another share when it is driven backwards"
+    mjcf_lacks = "MuJoCo's frictionloss is a constant"
     alike = False
     exclusive = "load friction"
     special_cases = {"share": ("drive", "backdrive")}  # noqa: RUF012
@@ -423,6 +434,7 @@ class PositionDependentFriction(ForceEffect):
     robots = ("mjcf",)
     sits_at = ("joint",)
     summary = "dry friction that is larger at some angles than at others"
+    mjcf_lacks = "MuJoCo's frictionloss is a constant"
     alike = False
     exclusive = "dry friction"
     neutral = {"friction": 0.0, "more": 0.0}  # noqa: RUF012

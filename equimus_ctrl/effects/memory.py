@@ -11,6 +11,7 @@ from equimus_ctrl.effects.base import parameter, register
 from equimus_ctrl.effects.description import Description
 from equimus_ctrl.effects.excitation import Excitation
 from equimus_ctrl.effects.force import ForceEffect, Parameters
+from equimus_ctrl.effects.native import Draft, add_presliding_friction, add_relaxing_spring
 from equimus_ctrl.effects.sizes import Size
 
 
@@ -27,6 +28,7 @@ class Creep(ForceEffect):
     name = "creep"
     sits_at = ("actuator",)
     summary = "slow relaxation (standard linear solid)"
+    mjcf_form = "a passive `dcmotor` with shorted terminals and `inductance`"
     exclusive = "creep"
     n_states = 1
     neutral = {"stiffness": 0.0}  # noqa: RUF012
@@ -54,6 +56,9 @@ class Creep(ForceEffect):
     def state_rate(cls, x: ca.SX, rate: ca.SX, z: Sequence[ca.SX], p: Parameters) -> Sequence[ca.SX]:
         return ((x - z[0]) / p["time_constant"],)
 
+    def write_mjcf(self, draft: Draft) -> str:
+        return add_relaxing_spring(draft, self.location, self.stiffness, self.time_constant, self.name)
+
     @classmethod
     def rest_state(cls, x: ca.SX, p: Parameters) -> Sequence[ca.SX]:
         return (x,)
@@ -76,6 +81,7 @@ class Hysteresis(ForceEffect):
     name = "hysteresis"
     sits_at = ("actuator",)
     summary = "force depends on the path of the length (Bouc–Wen)"
+    mjcf_form = "`lugre` of a passive `dcmotor`"
     exclusive = "hysteresis"
     n_states = 1
     begins_anywhere = True
@@ -101,6 +107,9 @@ class Hysteresis(ForceEffect):
     @classmethod
     def state_rate(cls, x: ca.SX, rate: ca.SX, z: Sequence[ca.SX], p: Parameters) -> Sequence[ca.SX]:
         return (presliding(rate, z[0], p["width"]),)
+
+    def write_mjcf(self, draft: Draft) -> str:
+        return add_presliding_friction(draft, self.location, self.size, self.width, self.name)
 
     @classmethod
     def rest_state(cls, x: ca.SX, p: Parameters) -> Sequence[ca.SX]:

@@ -13,6 +13,7 @@ from numba import njit
 from equimus_ctrl.effects.base import Effect, parameter, register
 from equimus_ctrl.effects.description import Description
 from equimus_ctrl.effects.excitation import Excitation
+from equimus_ctrl.effects.native import Draft
 from equimus_ctrl.effects.sizes import Share, Size
 from equimus_ctrl.types import Array
 
@@ -41,6 +42,7 @@ class SensorOffset(SensorEffect):
 
     name = "sensor_offset"
     summary = "the measured angle is off by a constant"
+    mjcf_lacks = "MuJoCo's sensors have no offset"
     exclusive = "sensor_offset"
     leg_sizes = (
         Size(
@@ -67,6 +69,7 @@ class SensorScale(SensorEffect):
 
     name = "sensor_scale"
     summary = "the measured angle is off by a factor"
+    mjcf_form = "a `tendonpos` sensor of a fixed `tendon` over the joint, its coefficient the factor"
     nothing = 1.0
     exclusive = "sensor_scale"
     leg_sizes = (Size("scale", 0.008, 0.15, "a wrong gear or encoder resolution", "about one"),)
@@ -80,6 +83,9 @@ class SensorScale(SensorEffect):
 
     def apply(self, sensor: Array) -> None:
         sensor[SCALE] = self.scale
+
+    def write_mjcf(self, draft: Draft) -> str:
+        return ""  # as the coefficient of a tendon that a sensor shows
 
     @classmethod
     def sentence(cls, t: Description) -> str:
@@ -95,6 +101,7 @@ class SensorDelay(SensorEffect):
 
     name = "sensor_delay"
     summary = "the measurement is older than its time stamp"
+    mjcf_form = "`delay` of a `jointpos` sensor, from one step on"
     delays = True
     exclusive = "sensor_delay"
     leg_sizes = (Size("delay", 0.004, 0.1, "half a sample to a slow camera pipeline"),)
@@ -105,8 +112,8 @@ class SensorDelay(SensorEffect):
     def apply(self, sensor: Array) -> None:
         sensor[SENSOR_DELAY] = self.delay
 
-    def write_mjcf(self, mujoco_model: Any) -> bool:
-        return True  # as the delay of a sensor of its joint
+    def write_mjcf(self, draft: Draft) -> str:
+        return ""  # as the delay of a sensor of its joint
 
     @classmethod
     def sentence(cls, t: Description) -> str:
@@ -120,6 +127,7 @@ class Backlash(SensorEffect):
 
     name = "backlash"
     summary = "play between joint and sensor"
+    mjcf_lacks = "MuJoCo's sensors have no play"
     in_torques = False
     exclusive = "backlash"
     leg_sizes = (Size("play", 2e-3, 0.06, "the noise to thirty times as much"),)

@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 
@@ -18,6 +18,7 @@ from equimus_ctrl.effects.base import Effect, parameter, register
 from equimus_ctrl.effects.command import DELAY, FILL, FLOW, POWER, RATE, REFERENCE, VENT
 from equimus_ctrl.effects.description import Description
 from equimus_ctrl.effects.excitation import Excitation
+from equimus_ctrl.effects.native import Draft, bound_command, filter_command, limit_rate, lose_first
 from equimus_ctrl.effects.shaping import COUPLING, CUTOFF, DEAD_ZONE, SATURATION, shape_column
 from equimus_ctrl.effects.sizes import Share, Size
 from equimus_ctrl.types import Array
@@ -91,6 +92,7 @@ class TransportDelay(ValveEffect):
     name = "transport_delay"
     robots = ("elastic", "mjcf")
     summary = "dead time between command and pressure"
+    mjcf_form = "`delay` of the actuator, with a buffer (`nsample`) that holds it, from one step on"
     delays = True
     leg_sizes = (Size("delay", 4e-3, 0.2, "half a sample to many; valves with long hoses"),)
     leg_alike = True
@@ -100,8 +102,8 @@ class TransportDelay(ValveEffect):
     def apply(self, valve: Array) -> None:
         valve[DELAY] += self.delay
 
-    def write_mjcf(self, mujoco_model: Any) -> bool:
-        return True  # with those of the XML, as the delay of its drive
+    def write_mjcf(self, draft: Draft) -> str:
+        return ""  # with those of the XML, as the delay of its drive
 
     @classmethod
     def sentence(cls, t: Description) -> str:
@@ -116,6 +118,7 @@ class FirstOrderLag(ValveEffect):
     name = "first_order_lag"
     robots = ("elastic", "mjcf")
     summary = "the pressure follows the command with one time constant"
+    mjcf_form = '`dyntype="filterexact"` of an actuator that has no dynamics yet'
     delays = True
     exclusive = "lag"
     leg_sizes = (Size("time_constant", 5e-3, 0.4, "less than a sample to a valve that feeds a large volume"),)
@@ -126,17 +129,8 @@ class FirstOrderLag(ValveEffect):
     def apply(self, valve: Array) -> None:
         valve[FILL] = valve[VENT] = self.time_constant
 
-    def write_mjcf(self, mujoco_model: Any) -> bool:
-        import mujoco
-
-        if mujoco_model.actuator(self.location).dyntype.item():  # it has a filter of its own already
-            return False
-        actuator = mujoco_model.actuator(self.location).id
-        mujoco_model.actuator_dyntype[actuator] = mujoco.mjtDyn.mjDYN_FILTEREXACT
-        mujoco_model.actuator_dynprm[actuator, 0] = self.time_constant
-        # Else the force at a step is that of a filter which has not seen its command.
-        mujoco_model.actuator_actearly[actuator] = 1
-        return True
+    def write_mjcf(self, draft: Draft) -> str:
+        return filter_command(draft, self.location, self.time_constant)
 
     @classmethod
     def sentence(cls, t: Description) -> str:
@@ -151,6 +145,7 @@ class AsymmetricLag(ValveEffect):
 
     name = "asymmetric_lag"
     summary = "filling and venting have different time constants"
+    mjcf_lacks = "MuJoCo's filters have one time constant"
     delays = True
     exclusive = "lag"
     leg_sizes = (
@@ -191,6 +186,7 @@ class RateLimit(ValveEffect):
 
     name = "rate_limit"
     summary = "the pressure changes no faster than the valve's flow allows"
+    mjcf_form = "`dcmotor` under a torque command, with `slewmax`"
     nothing = None
     exclusive = "rate_limit"
     leg_sizes = (Size("rate", 1.5e4, 5e5, "a step of 15 kPa takes from 0.03 s to 1 s"),)
@@ -199,6 +195,9 @@ class RateLimit(ValveEffect):
 
     def apply(self, valve: Array) -> None:
         valve[RATE] = self.rate
+
+    def write_mjcf(self, draft: Draft) -> str:
+        return limit_rate(draft, self.location, self.rate)
 
     @classmethod
     def sentence(cls, t: Description) -> str:
@@ -216,6 +215,7 @@ class FillingFlow(ValveEffect):
 
     name = "filling_flow"
     summary = "the valve fills at a rate that grows with the command"
+    mjcf_lacks = "MuJoCo's limits of rates are constants"
     nothing = None
     exclusive = "filling_flow"
     leg_sizes = (
@@ -253,11 +253,15 @@ class DeadZone(CompiledShaping):
 
     name = "dead_zone"
     summary = "commands below a threshold do nothing"
+    mjcf_form = "a constant `biasprm` and a `forcerange` from 0 on"
     exclusive = "dead_zone"
     order = DEAD_ZONE
     leg_sizes = (Size("threshold", 100.0, 5e3, "0.2 to 10 % of the range"),)
     leg_alike = True
     threshold: float = parameter("Pa", 0.0, 5e4, "pressure that a command loses, and below which it does nothing")
+
+    def write_mjcf(self, draft: Draft) -> str:
+        return lose_first(draft, self.location, self.threshold)
 
     @classmethod
     def guesses(cls, excitation: Excitation) -> list[dict[str, float]]:
@@ -277,6 +281,7 @@ class SupplyCoupling(CompiledShaping):
 
     name = "supply_coupling"
     summary = "the other channels' demand lowers this one's pressure"
+    mjcf_lacks = "MuJoCo's actuators know their own commands alone"
     exclusive = "supply_coupling"
     order = COUPLING
     leg_sizes = (Size("share", 3e-3, 0.12, "a stiff supply to a common narrow hose"),)
@@ -296,6 +301,7 @@ class Saturation(CompiledShaping):
 
     name = "saturation"
     summary = "the pressure stops rising above a level"
+    mjcf_form = "`ctrlrange`"
     nothing = None
     exclusive = "saturation"
     order = SATURATION
@@ -312,6 +318,9 @@ class Saturation(CompiledShaping):
             for share in (0.97, 0.92, 0.86, 0.8, 0.72, 0.64, 0.56, 0.48, 0.4, 0.33)
         ]
 
+    def write_mjcf(self, draft: Draft) -> str:
+        return bound_command(draft, self.location, self.level)
+
     @classmethod
     def sentence(cls, t: Description) -> str:
         return f"{t.actuation} {t.one_or('stops', 'stop')} rising at {t['level']}: a saturation."
@@ -323,6 +332,7 @@ class Cutoff(CompiledShaping):
     """Threshold with jump: u' = u where u ≥ least, else 0."""
 
     name = "cutoff"
+    mjcf_lacks = "MuJoCo has no law with a jump"
     summary = "threshold with jump: the valve stays shut below a least command, and follows it in full above"
     nothing = None
     exclusive = "cutoff"

@@ -19,6 +19,7 @@ from equimus_ctrl.effects.base import Effect
 from equimus_ctrl.effects.bodies import changed_bodies
 from equimus_ctrl.effects.command import DELAY
 from equimus_ctrl.effects.force import ForceEffect, force_effects, laws_with
+from equimus_ctrl.effects.native import harden
 from equimus_ctrl.effects.sensors import sensor_settings
 from equimus_ctrl.effects.valves import valve_settings
 from equimus_ctrl.engines import compiled
@@ -26,7 +27,7 @@ from equimus_ctrl.engines.trials import Trial
 from equimus_ctrl.errors import NotAvailable
 from equimus_ctrl.models.augmented import Laws
 from equimus_ctrl.models.model import Model
-from equimus_ctrl.robots.mjcf.parts import harden, rotor_of
+from equimus_ctrl.robots.mjcf.parts import rotor_of
 from equimus_ctrl.robots.mjcf.robot import MjcfRobot, mjcf_of
 from equimus_ctrl.types import Array
 

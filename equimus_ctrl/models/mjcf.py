@@ -217,7 +217,9 @@ def _point_mass(body: mujoco.MjsBody, mass: float) -> None:
 
 
 def build_spec(morphology: Morphology, phase: Phase = "swing", settings: SolverSettings | None = None) -> mujoco.MjSpec:
-    """The MjSpec of a morphology, base fixed (swing) or foot pinned (stance).
+    """The MjSpec of a morphology, base fixed (swing) or foot pinned (stance), with all joints at 0 and without stops.
+
+    ``compile_model`` adds joint stops, ``close_elements`` closes elements; ``export_model`` writes files with both.
 
     In stance the base slides freely in the plane and keeps its orientation, and an equality pins the foot to the
     world's site ``foothold``.
@@ -401,11 +403,12 @@ def close_elements(model: mujoco.MjModel, data: mujoco.MjData) -> None:
         length = math.hypot(x, z)
         if length < 1e-9:
             raise ModelError(f"actuator {name!r} has no length at this pose, so its direction is undefined")
-        data.qpos[hinge.qposadr[0]] = math.atan2(-z, x)
+        data.qpos[hinge.qposadr[0]] = model.qpos0[hinge.qposadr[0]] + math.atan2(-z, x)
         own.append(hinge.dofadr[0])
         for half in ("middle", "lower"):
             slide = model.joint(f"{name}/{half}")
-            data.qpos[slide.qposadr[0]] = length / 2
+            begins = model.qpos0[slide.qposadr[0]] - model.body(f"{name}/{half}").pos[0]
+            data.qpos[slide.qposadr[0]] = begins + length / 2
             own.append(slide.dofadr[0])
     if not own:
         return

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 from equimus_ctrl.options.autotune import AutotuneOptions
 from equimus_ctrl.options.compare import CompareOptions
 from equimus_ctrl.options.diagnose import DiagnoseOptions
+from equimus_ctrl.options.export import ExportOptions
 from equimus_ctrl.options.fields import NAMES, SPAN, bounds_of, key_values
 from equimus_ctrl.options.identify import IdentifyOptions
 from equimus_ctrl.options.offers import OnCommandLine, offered, option, with_changes
@@ -32,6 +33,7 @@ __all__ = [
     "AutotuneOptions",
     "CompareOptions",
     "DiagnoseOptions",
+    "ExportOptions",
     "IdentifyOptions",
     "OnCommandLine",
     "ProveOptions",

@@ -20,6 +20,7 @@ from equimus_ctrl.diagnosis.holdout import split
 from equimus_ctrl.diagnosis.hypothesis import default_free_parameters
 from equimus_ctrl.effects.base import Effect
 from equimus_ctrl.effects.force import ForceEffect
+from equimus_ctrl.effects.native import harden
 from equimus_ctrl.engines.choice import engine_for
 from equimus_ctrl.engines.limits import MAX_SPEED
 from equimus_ctrl.engines.mjcf import Course, commands_on, filled, measured_of, steps_of
@@ -37,7 +38,6 @@ from equimus_ctrl.proof.outside import Motion, MotionEffect
 from equimus_ctrl.proof.strength import rounded
 from equimus_ctrl.proof.tracking import Tracking
 from equimus_ctrl.quiet import quietly
-from equimus_ctrl.robots.mjcf.parts import harden
 from equimus_ctrl.robots.mjcf.robot import mjcf_of
 from equimus_ctrl.types import Array, Recording
 

@@ -1,6 +1,12 @@
 # What `equimus_ctrl.workflow` offers; read at run time too, so this list is the only one.
 from .comparisons import compare as compare
 from .diagnose import diagnose_recordings as diagnose_recordings
+from .exports import (
+    Export as Export,
+    Written as Written,
+    export_model as export_model,
+    mjcf_of_model as mjcf_of_model,
+)
 from .hardware import (
     check_hardware as check_hardware,
     import_bag as import_bag,

@@ -10,10 +10,6 @@ from typing import Any
 import numpy as np
 
 from equimus_ctrl import presets
-from equimus_ctrl.effects.command import DELAY
-from equimus_ctrl.effects.sensors import SENSOR_DELAY, SensorDelay
-from equimus_ctrl.effects.valves import TransportDelay
-from equimus_ctrl.engines.mjcf_realised import realise
 from equimus_ctrl.engines.supposed import with_supposed
 from equimus_ctrl.errors import ConfigError, ModelError, unknown_name
 from equimus_ctrl.identification.parameters import default_bounds, default_names, matching, unit_of
@@ -23,7 +19,6 @@ from equimus_ctrl.recordings.sets import read_with_files
 from equimus_ctrl.recordings.smoothing import smoothed
 from equimus_ctrl.robots.base import Robot
 from equimus_ctrl.robots.mjcf.editing import Edits, edited
-from equimus_ctrl.robots.mjcf.export import exported
 from equimus_ctrl.robots.mjcf.robot import MjcfRobot
 from equimus_ctrl.types import Array, Recording
 
@@ -214,38 +209,3 @@ def offer(path: Path, model: Model) -> None:
         "In SI units; for --parameters of equimus-ctrl identify and diagnose."
     )
     presets.write_text(path, presets.toml_text({"format": FORMAT, "free": table}, comment))
-
-
-def write_corrected(path: Path, model: Model, source: Path | None = None) -> tuple[str, ...]:
-    """Write the MJCF with all of a model that it has fields for; labels of the effects that it has none for.
-
-    Args:
-        path: of the file.
-        model: of an MJCF robot.
-        source: folder of the XML that it was made from, where its meshes are.
-
-    Raises:
-        ConfigError: where the model is of no MJCF robot.
-    """
-    xml, left = corrected_xml(model, "" if source is None else presets.relative(source, path.parent))
-    presets.write_text(path, xml)
-    return left
-
-
-def corrected_xml(model: Model, folder: str = "") -> tuple[str, tuple[str, ...]]:
-    """See ``write_corrected``; meshes are looked for in a folder."""
-    own = realise(model)
-    left = [f"{name}, which is ignored" for name in own.robot.edits.ignore]
-    for effect in model.effects:
-        if not effect.write_mjcf(own.mujoco):
-            left.append(f"{effect.name} at {effect.location}")
-    for drive, delay in zip(own.robot.actuators, own.valve[:, DELAY], strict=True):
-        # By the XML and by effects together; MuJoCo reads what it has written a step before at the earliest.
-        held = delay >= own.mujoco.opt.timestep
-        own.mujoco.actuator_delay[drive.index] = delay if held else 0.0
-        if delay > 0 and not held:
-            left.append(f"{TransportDelay.name} at {drive.name}")
-    late = dict(zip(own.robot.joint_names, own.sensor[:, SENSOR_DELAY].tolist(), strict=True))
-    left += [f"{SensorDelay.name} at {joint}" for joint, delay in late.items() if 0 < delay < own.mujoco.opt.timestep]
-    late = {joint: delay for joint, delay in late.items() if delay >= own.mujoco.opt.timestep}
-    return exported(own.robot, own.mujoco, left, folder, late), tuple(left)

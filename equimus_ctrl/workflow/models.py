@@ -11,7 +11,8 @@ from equimus_ctrl.errors import ConfigError
 from equimus_ctrl.models.model import Model, model_from_dict, model_to_dict, nominal_model
 from equimus_ctrl.robots.mjcf.editing import Edits
 from equimus_ctrl.robots.mjcf.robot import MjcfRobot
-from equimus_ctrl.workflow.mjcf import load_mjcf, suited, write_corrected
+from equimus_ctrl.workflow.exports import write_corrected
+from equimus_ctrl.workflow.mjcf import load_mjcf, suited
 
 
 def load_model(

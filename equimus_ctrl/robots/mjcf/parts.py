@@ -9,12 +9,9 @@ from typing import Any
 import mujoco
 import numpy as np
 
+from equimus_ctrl.effects.native import HARD
 from equimus_ctrl.robots.mjcf.plan import Assets, spec_of
 from equimus_ctrl.types import Array
-
-HARD = 0.9999
-"""Impedance of dry friction: what a rubbing joint at rest creeps is this near to nothing."""
-
 
 STIFF = 0.25
 """Rate of the end of a play, in units of 1/step."""
@@ -268,9 +265,3 @@ def rub(model: Any, coupling: Coupling) -> None:
     model.tendon_damping[tendon], model.tendon_frictionloss[tendon] = coupling.damping, coupling.friction
     model.tendon_solref_fri[tendon] = -1.0, -1.0 / model.opt.timestep
     model.tendon_solimp_fri[tendon] = HARD, HARD, 1e-3, 0.5, 2.0
-
-
-def harden(model: Any, dof: int) -> None:
-    """Make dry friction at a degree of freedom stop it within a step, not within MuJoCo's usual tenths of seconds."""
-    model.dof_solref[dof] = -1.0, -1.0 / model.opt.timestep
-    model.dof_solimp[dof] = HARD, HARD, 1e-3, 0.5, 2.0
