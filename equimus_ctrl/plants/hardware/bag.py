@@ -9,7 +9,7 @@ import numpy as np
 
 from equimus_ctrl.errors import NotAvailable, RecordingError
 from equimus_ctrl.models.model import Model
-from equimus_ctrl.plants.hardware.clock import ClockMap
+from equimus_ctrl.recordings.clocks import ClockMap
 from equimus_ctrl.plants.hardware.interface import interface_of
 from equimus_ctrl.plants.hardware.messages import NANO
 from equimus_ctrl.plants.hardware.settings import HardwareSettings
