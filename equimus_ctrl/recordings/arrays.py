@@ -106,7 +106,7 @@ def found(log: Log, wanted: Wanted, mapping: ColumnMapping) -> dict[str, Source]
         RecordingError: where there are none, or nobody says their order.
     """
     table = log.tables[0]
-    sources = {}
+    sources: dict[str, Source] = {}
     for prefix, bases, names in (("pos", MEASURED, wanted.joints), ("cmd", COMMANDED, wanted.actuators)):
         if not names or any(target.startswith(f"{prefix}.") for target in mapping.columns):
             continue
@@ -123,7 +123,8 @@ def found(log: Log, wanted: Wanted, mapping: ColumnMapping) -> dict[str, Source]
 def write_npz(path: Path, columns: Mapping[str, NDArray[Any]], notes: Mapping[str, str]) -> None:
     """Columns of a recording as arrays of their names, every bit kept; notes as JSON under ``notes``."""
     buffer = io.BytesIO()
-    np.savez(buffer, **{NOTES: np.array(json.dumps(dict(notes), ensure_ascii=False))}, **columns)
+    arrays: dict[str, Any] = {NOTES: np.array(json.dumps(dict(notes), ensure_ascii=False)), **columns}
+    np.savez(buffer, **arrays)
     write_bytes(path, buffer.getvalue())
 
 

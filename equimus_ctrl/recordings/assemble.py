@@ -120,7 +120,7 @@ def _sources(log: Log, wanted: Wanted | None, mapping: Mapping) -> dict[str, Sou
     needed = [prefix for prefix in ("pos", "cmd") if prefix not in prefixes]
     if wanted is not None and not wanted.actuators:
         needed = [prefix for prefix in needed if prefix != "cmd"]
-    found = native(log, mapping) or {}
+    found: Table[str, Source] = native(log) or {}
     if needed and not {target.partition(".")[0] for target in found}.issuperset(needed):
         if log.found is None:
             raise RecordingError(
@@ -141,7 +141,7 @@ def _words(prefixes: Sequence[str]) -> list[str]:
     return [{"pos": "the position of which joint", "cmd": "the command of which actuator"}[own] for own in prefixes]
 
 
-def native(log: Log, mapping: Mapping) -> dict[str, Source] | None:
+def native(log: Log) -> dict[str, Source] | None:
     """Columns that have the names of a recording's; None where there are none."""
     found = {}
     for table in log.tables:
@@ -350,8 +350,8 @@ def elements(
         RecordingError: where one is missing, or elements have no names.
     """
     pattern = re.compile(re.escape(base) + r"(?:\[(\d+)\]|\.(.+))?$")
-    own = [(column, found) for column in table.columns if (found := pattern.match(column))]
-    indexed = [column for column, found in own if found[1] is not None]
+    own = [(column, match) for column in table.columns if (match := pattern.match(column))]
+    indexed = [column for column, match in own if match[1] is not None]
     if not own:
         raise log.missing(base, table)
     if indexed or [column for column, _ in own] == [base]:
@@ -361,8 +361,8 @@ def elements(
             order = tuple(names)  # there is nothing to mix up
         if order is None:
             raise RecordingError(
-                f"{log.where}: the {len(columns)} elements of {base!r} have no names; expected {prefix} under [names] of "
-                f"a mapping: {prefix} = {list(names)}, in the file's order"
+                f"{log.where}: the {len(columns)} elements of {base!r} have no names; expected {prefix} under [names] "
+                f"of a mapping: {prefix} = {list(names)}, in the file's order"
             )
         if len(order) != len(columns):
             raise RecordingError(
@@ -371,8 +371,8 @@ def elements(
             )
         there = dict(zip(order, columns, strict=True))
     else:
-        there = {found[2]: column for column, found in own if found[2]}
-    found = {}
+        there = {match[2]: column for column, match in own if match[2]}
+    found: dict[str, Source] = {}
     for name in names:
         spelled = next((own for own in spellings.get(name, (name,)) if own in there), None)
         if spelled is None:

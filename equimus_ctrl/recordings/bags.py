@@ -86,7 +86,7 @@ def found(log: Log, wanted: Wanted, mapping: ColumnMapping) -> dict[str, Source]
         RecordingError: where there is no such topic, several could be meant, or one lacks a joint or actuator.
     """
     states = _states(log, wanted, mapping)
-    sources = {}
+    sources: dict[str, Source] = {}
     if not any(target.startswith("pos.") for target in mapping.columns):
         sources = elements(log, states, "position", wanted.joints, "pos", mapping, {})
     if wanted.actuators and not any(target.startswith("cmd.") for target in mapping.columns):
@@ -127,7 +127,7 @@ def _command_topic(log: Log, states: Table, mapping: ColumnMapping) -> Table:
 
 
 def _of_kind(log: Log, name: str, kinds: tuple[str, ...]) -> Table:
-    table = log.table(name, "")
+    table = log.topic(name)
     if table.kind not in kinds:
         raise RecordingError(f"{log.where}: {name} holds {table.kind}, expected {' or '.join(kinds)}")
     return table
@@ -157,7 +157,7 @@ def _commands(log: Log, table: Table, wanted: Wanted, mapping: ColumnMapping) ->
         return elements(log, table, "data", wanted.actuators, "cmd", mapping, {})
     if table.kind == TRAJECTORY:
         return _points(log, table, wanted, fields, names)
-    found = {}
+    found: dict[str, Source] = {}
     for name in wanted.actuators:
         found |= elements(log, table, fields[name], (name,), "cmd", mapping, names)
     return found
@@ -167,8 +167,8 @@ def _check_count(log: Log, table: Table, wanted: Wanted) -> None:
     count = sum(column == "data" or column.startswith("data[") for column in table.columns)
     if count != len(wanted.actuators):
         raise RecordingError(
-            f"{log.where}: {table.name} has {count} numbers a message, expected {len(wanted.actuators)}, one for each of "
-            f"{', '.join(wanted.actuators)}"
+            f"{log.where}: {table.name} has {count} numbers a message, expected {len(wanted.actuators)}, one for "
+            f"each of {', '.join(wanted.actuators)}"
         )
 
 
@@ -186,10 +186,10 @@ def _points(
     if any(column.startswith("points[1]") for column in table.columns):
         raise RecordingError(
             f"{log.where}: {table.name} has trajectories of several points, and what its controller made of them "
-            "between these is not in it; expected the topic of what was sent to the drives, such as a controller's state"
+            "between these is not in it; expected the topic of what was sent to the drives, or a mapping"
         )
     plural = {"position": "positions", "velocity": "velocities", "effort": "effort"}
-    found = {}
+    found: dict[str, Source] = {}
     for name in wanted.actuators:
         base = f"points[0].{plural[fields[name]]}"
         column = next((f"{base}.{own}" for own in names[name] if f"{base}.{own}" in table.columns), None)

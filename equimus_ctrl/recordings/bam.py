@@ -1,8 +1,8 @@
 """Logs of BAM's test benches (Duclusaud, Passault et al., Rhoban/bam): JSON with a list of ``entries``.
 
-An entry has ``timestamp`` [s], ``position`` and ``goal_position`` [rad], ``speed`` [rad/s], ``torque_enable`` and more; of two
-motors these stand under ``r1`` and ``r2``. What else stands in the file (mass, length, kp, …) becomes notes. Where the torque is
-off no command is in force, so a log is cut into the trials during which it is on.
+An entry has ``timestamp`` [s], ``position`` and ``goal_position`` [rad], ``speed`` [rad/s], ``torque_enable`` and more;
+of two motors these stand under ``r1`` and ``r2``. What else stands in the file (mass, length, kp, …) becomes notes.
+Where the torque is off no command is in force, so a log is cut into the trials during which it is on.
 """
 
 from __future__ import annotations

@@ -144,6 +144,7 @@ def _columns(sheet: Tabular, limits: Limits) -> dict[str, tuple[str, ...]]:
 
 
 def is_site(column: str) -> bool:
+    """Whether a column is a coordinate of a site."""
     name, _, axis = column.removeprefix(SITE).rpartition(".")
     return column.startswith(SITE) and bool(name) and axis in AXES
 

@@ -1,17 +1,16 @@
 """The formats of recordings: one registry, by what a file is called and what is in it.
 
-A reader is one function from a path to logs; what their columns are, ``mapping`` says for all formats alike. The project's
-own CSV format and those of the leg are read by ``sets``.
+A reader is one function from a path to logs; what their columns are, ``mapping`` says for all formats alike. The
+project's own CSV format and those of the leg are read by ``sets``.
 """
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from equimus_ctrl.errors import RecordingError, nearest, unknown_name
+from equimus_ctrl.errors import RecordingError, unknown_name
 from equimus_ctrl.recordings import arrays, bags, bam, csvfile, mcapfile, parquet, rerunfile
 from equimus_ctrl.recordings.assemble import recording_of
 from equimus_ctrl.recordings.checks import Limits

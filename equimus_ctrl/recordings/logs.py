@@ -121,6 +121,20 @@ class Log:
         """For messages."""
         return str(self.path) if self.name == self.path.stem else f"{self.path} ({self.name})"
 
+    def topic(self, name: str) -> Table:
+        """The table of a topic.
+
+        Raises:
+            RecordingError: where there is none.
+        """
+        for own in self.tables:
+            if own.name == name:
+                return own
+        names = sorted(own.name for own in self.tables)
+        raise RecordingError(
+            f"{self.where}: there is no topic {name}{nearest(name, names)} (known: {', '.join(names) or 'none'})"
+        )
+
     def table(self, topic: str, column: str) -> Table:
         """The table of a topic, or the one that has a column.
 
@@ -128,13 +142,7 @@ class Log:
             RecordingError: where there is none, or several have it.
         """
         if topic:
-            for own in self.tables:
-                if own.name == topic:
-                    return own
-            names = sorted(own.name for own in self.tables)
-            raise RecordingError(
-                f"{self.where}: there is no topic {topic}{nearest(topic, names)} (known: {', '.join(names) or 'none'})"
-            )
+            return self.topic(topic)
         having = [own for own in self.tables if column in own.columns]
         if len(having) == 1:
             return having[0]

@@ -223,7 +223,7 @@ def si_unit(target: str, wanted: Wanted | None) -> str | None:
         if name not in wanted.joints:
             return None
         own = wanted.joint_units[wanted.joints.index(name)]
-        return own if prefix == "pos" else RATES.get(own)
+        return (own or None) if prefix == "pos" else RATES.get(own)
     if name not in wanted.actuators or prefix == "meas":
         return "Pa" if prefix == "meas" and set(wanted.command_units) == {"Pa"} else None
     return wanted.command_units[wanted.actuators.index(name)]

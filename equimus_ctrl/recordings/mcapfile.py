@@ -1,10 +1,10 @@
 """MCAP files with JSON messages: reading any, and writing recordings with predictions and residuals beside them.
 
 What is written has a JSON schema for each kind of message and needs no ROS. JSON is the one encoding that Foxglove
-(https://docs.foxglove.dev/docs/getting-started/custom/custom-schema-encodings), PlotJuggler (its MCAP loader takes the parser of
-a channel's message encoding, and has one for ``json`` without any plug-in of ROS) and ``mcap`` itself read alike; numbers are
-written with as many digits as they need, so that they come back bit for bit. What ROS 2 has recorded (CDR) the rosbags
-library reads.
+(docs.foxglove.dev, *Custom schema encodings*), PlotJuggler and ``mcap`` itself read alike: PlotJuggler's loader takes the
+parser of a channel's message encoding (docs.ros.org, ``dataload_mcap.cpp``), and its own one for ``json`` is no plug-in
+of ROS, as that for CDR is. Numbers are written with as many digits as they need, so that they come back bit for bit.
+What ROS 2 has recorded (CDR) the rosbags library reads.
 """
 
 from __future__ import annotations
@@ -217,8 +217,8 @@ def write_mcap(path: Path, trials: Sequence[Exported], notes: Sequence[Mapping[s
                 text = json.dumps(dict(zip(keys, row, strict=True)), ensure_ascii=False, allow_nan=False)
                 rows.append((stamp, channel, k, text.encode()))
         writer.add_metadata(NOTES, {TRIAL: name, **own_notes})
-    for stamp, channel, k, text in sorted(rows, key=lambda own: own[:2]):
-        writer.add_message(channel, stamp, text, stamp, k)
+    for stamp, channel, k, message in sorted(rows, key=lambda own: own[:2]):
+        writer.add_message(channel, stamp, message, stamp, k)
     writer.finish()
     write_bytes(path, buffer.getvalue())
 

@@ -125,15 +125,15 @@ def found_lerobot(log: Log, wanted: Wanted, mapping: ColumnMapping) -> dict[str,
         RecordingError: where a name is missing, or nobody says what numbers measure.
     """
     table = log.tables[0]
-    sources = {}
+    sources: dict[str, Source] = {}
     for prefix, base, names in (("pos", STATE, wanted.joints), ("cmd", ACTION, wanted.actuators)):
         if not names or any(target.startswith(f"{prefix}.") for target in mapping.columns):
             continue
         unit = mapping.units.get(prefix) or log.notes.get(f"unit.{base}")
         if not unit:
             raise RecordingError(
-                f"{log.where}: what {base} measures is not in the dataset (LeRobot's robots give degrees, rad, or -100 "
-                f'to 100 of a range); expected a mapping with [units] {prefix} = "deg" or such, or [columns] with a scale'
+                f"{log.where}: what {base} measures is not in the dataset (LeRobot's robots give degrees, rad, or -100 to "
+                f'100 of a range); expected a mapping with [units] {prefix} = "deg" or such, or [columns] with a scale'
             )
         spellings = {name: _spellings(name, wanted, prefix) for name in names}
         own = elements(log, table, base, names, prefix, mapping, spellings)

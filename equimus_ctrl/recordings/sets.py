@@ -28,7 +28,7 @@ def read_set(
     joints: Sequence[str] | None = None,
     actuators: Sequence[str] | None = None,
     limits: Limits = LEG,
-    wanted: Wanted | None = None,
+    wanted: Wanted | None = logs.LEG,
     mapping: Mapping | None = None,
 ) -> tuple[Recording, ...]:
     """Read the trials of files and folders; see ``read_with_files``."""
@@ -42,21 +42,21 @@ def read_with_files(
     joints: Sequence[str] | None = None,
     actuators: Sequence[str] | None = None,
     limits: Limits = LEG,
-    wanted: Wanted | None = None,
+    wanted: Wanted | None = logs.LEG,
     mapping: Mapping | None = None,
 ) -> tuple[tuple[Path, Recording], ...]:
     """Read the trials of files and folders, in any format that is known, each with its file.
 
-    Files come in the order given, those of a folder sorted by name; a bag's or a dataset's folder counts as a file. Static poses in a folder are passed over. A name
-    that two trials share gets the folder's name in front: ``open_1_trial_00``. All trials have the same joints and
-    actuators, in the same order.
+    Files come in the order given, those of a folder sorted by name; a bag's or a dataset's folder counts as a file, and
+    static poses in a folder are passed over. A name that two trials share gets the folder's name in front:
+    ``open_1_trial_00``. All trials have the same joints and actuators, in the same order.
 
     Args:
         paths: a file, a folder, or several of them.
         joints: the joints wanted, in the order wanted; the first trial's where None.
         actuators: the actuators wanted, in the order wanted; the first trial's where None.
         limits: what may stand in a recording.
-        wanted: names and units of the robot, by which columns of other formats are found; the leg's where None.
+        wanted: names and units of the robot, by which columns of other formats are found; None where nobody knows.
         mapping: what the columns of other formats are; with one, CSV files are of any columns too.
 
     Raises:
@@ -68,7 +68,7 @@ def read_with_files(
     files = list_files(paths)
     found: list[tuple[Path, Recording]] = []
     for path in files:
-        trials: Sequence[Recording] | None = formats.recordings_of(path, limits, wanted or logs.LEG, mapping)
+        trials: Sequence[Recording] | None = formats.recordings_of(path, limits, wanted, mapping)
         if trials is None:
             sheet = open_sheet(path)
             if upstream.kind(sheet.header):
@@ -89,16 +89,16 @@ def read_with_files(
                     f"{path}: its {kind} are {', '.join(names)}, those of {first_path} are {', '.join(expected)}; "
                     "all trials of a set have the same"
                 )
-    wanted = (
+    chosen = (
         tuple(first.joints if joints is None else joints),
         tuple(first.actuators if actuators is None else actuators),
     )
     arranged = tuple(
-        (path, _arranged(path, trial, name, *wanted, limits.missing))
+        (path, _arranged(path, trial, name, *chosen, limits.missing))
         for (path, trial), name in zip(found, _unique_names(found), strict=True)
     )
     if not limits.pressures:  # a model asks for its own; of a leg somebody picks
-        checks.warn(_unused(first_path, first, *wanted))
+        checks.warn(_unused(first_path, first, *chosen))
     return arranged
 
 
