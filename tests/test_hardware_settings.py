@@ -9,9 +9,9 @@ import pytest
 
 from equimus_ctrl.errors import ConfigError
 from equimus_ctrl.models.model import nominal_model
+from equimus_ctrl.plants.hardware.clock import WINDOW, ClockMap
 from equimus_ctrl.plants.hardware.interface import interface_of
 from equimus_ctrl.plants.hardware.settings import HardwareSettings, Safety, Wire
-from equimus_ctrl.recordings.clocks import WINDOW, ClockMap
 
 LEG = nominal_model().robot
 

@@ -46,7 +46,7 @@ def read_npz(path: Path) -> list[Log]:
     """
     with reading(path, ".npz file of arrays"):
         check_regular(path)
-        with np.load(path, allow_pickle=False) as file:
+        with path.open("rb") as opened, np.load(opened, allow_pickle=False) as file:
             arrays = {key: file[key] for key in file.files}
     return [_log(path, arrays, "a file of arrays")]
 

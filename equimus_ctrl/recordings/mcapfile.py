@@ -1,10 +1,10 @@
 """MCAP files with JSON messages: reading any, and writing recordings with predictions and residuals beside them.
 
-What is written has a JSON schema for each kind of message and needs no ROS. JSON is the one encoding that Foxglove
-(docs.foxglove.dev, *Custom schema encodings*), PlotJuggler and ``mcap`` itself read alike: PlotJuggler's loader takes the
-parser of a channel's message encoding (docs.ros.org, ``dataload_mcap.cpp``), and its own one for ``json`` is no plug-in
-of ROS, as that for CDR is. Numbers are written with as many digits as they need, so that they come back bit for bit.
-What ROS 2 has recorded (CDR) the rosbags library reads.
+What is written has a JSON schema for each kind of message and needs no ROS. Foxglove reads JSON (docs.foxglove.dev,
+*Custom schema encodings*), and so does PlotJuggler: its loader takes the parser of a channel's message encoding
+(docs.ros.org, ``dataload_mcap.cpp``), and that for ``json`` is its own, where that for CDR is a plug-in of ROS. Numbers
+are written with as many digits as they need, so that they come back bit for bit. What ROS 2 has recorded (CDR) the
+rosbags library reads.
 """
 
 from __future__ import annotations

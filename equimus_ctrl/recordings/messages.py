@@ -6,16 +6,18 @@ these names. A message may lack what others have: it is masked there.
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from equimus_ctrl.recordings.clocks import ClockMap
 from equimus_ctrl.types import Array
 
 NANO = 1e9
+WINDOW = 10.0
+"""Before and after a message the quickest counts [s]."""
 NAMES = ("name", "names", "joint_names", "joints")
 """Fields that may name the elements of others."""
 MOST_ELEMENTS = 256
@@ -83,17 +85,32 @@ def columns_of(messages: Iterable[tuple[float, float | None, Any]]) -> tuple[Arr
 
 def _on_log_clock(received: list[float], stamps: list[float | None]) -> tuple[list[int], Array]:
     """Which messages count, and when they were."""
-    if not received or any(not stamp for stamp in stamps):
+    if not received or not all(stamps):
         return list(range(len(received))), np.array(received, dtype=np.float64)
-    clock = ClockMap.of(float(stamps[0] or 0.0), received[0])
+    stamped = [float(stamp or 0.0) for stamp in stamps]
+    offsets = _least_within([at - stamp for at, stamp in zip(received, stamped, strict=True)], received)
     last = -np.inf
     kept: list[int] = []
     times: list[float] = []
-    for k, (at, stamp) in enumerate(zip(received, stamps, strict=True)):
-        assert stamp is not None  # seen to above
-        clock = clock.seen(stamp, at)
-        if stamp > last and (not times or clock.local(stamp) > times[-1]):
+    for k, (stamp, offset) in enumerate(zip(stamped, offsets, strict=True)):
+        if stamp > last and (not times or stamp + offset > times[-1]):
             kept.append(k)
-            times.append(clock.local(stamp))
+            times.append(stamp + offset)
             last = stamp
     return kept, np.array(times)
+
+
+def _least_within(values: Sequence[float], times: Sequence[float]) -> list[float]:
+    """The least of the values within ``WINDOW`` of each: clocks drift apart, so the whole log does not count."""
+    found, ahead = [], 0
+    falling: deque[int] = deque()  # of the window, those that nothing later undercuts
+    for at in times:
+        while ahead < len(times) and times[ahead] <= at + WINDOW:
+            while falling and values[falling[-1]] >= values[ahead]:
+                falling.pop()
+            falling.append(ahead)
+            ahead += 1
+        while times[falling[0]] < at - WINDOW:
+            falling.popleft()
+        found.append(values[falling[0]])
+    return found

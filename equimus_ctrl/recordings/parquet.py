@@ -132,8 +132,9 @@ def found_lerobot(log: Log, wanted: Wanted, mapping: ColumnMapping) -> dict[str,
         unit = mapping.units.get(prefix) or log.notes.get(f"unit.{base}")
         if not unit:
             raise RecordingError(
-                f"{log.where}: what {base} measures is not in the dataset (LeRobot's robots give degrees, rad, or -100 to "
-                f'100 of a range); expected a mapping with [units] {prefix} = "deg" or such, or [columns] with a scale'
+                f"{log.where}: what {base} measures is not in the dataset (LeRobot's robots give degrees, rad or "
+                f'-100 to 100 of a range); expected a mapping with [units] {prefix} = "deg" or such, or [columns] with '
+                "a scale"
             )
         spellings = {name: _spellings(name, wanted, prefix) for name in names}
         own = elements(log, table, base, names, prefix, mapping, spellings)

@@ -6,10 +6,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from equimus_ctrl.plants.hardware.clock import ClockMap
 from equimus_ctrl.plants.hardware.interface import Interface
 from equimus_ctrl.plants.hardware.settings import Safety
 from equimus_ctrl.plants.hardware.transport import Sample
-from equimus_ctrl.recordings.clocks import ClockMap
 from equimus_ctrl.types import Array, PlantSpec
 
 
