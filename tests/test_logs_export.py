@@ -30,7 +30,7 @@ def written(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Two trials of the pendulum, predicted by it and by one with friction."""
     folder = tmp_path_factory.mktemp("export")
     model = eq.load_model(XML)
-    augmented = eq.Model(model.robot, (eq.CoulombFriction("hinge", torque=0.05),))
+    augmented = eq.Model(model.robot, (eq.CoulombFriction("hinge", friction=0.05),))
     path = folder / "runs.mcap"
     files = eq.export_recordings([RUNS / "run_1.csv", RUNS / "run_2.csv"], path, model, augmented=augmented)
     assert [file.name for file in files] == ["runs.mcap", "runs.foxglove.json", "runs.plotjuggler.xml"]
@@ -134,7 +134,7 @@ def test_fields_with_odd_names_are_quoted(tmp_path: Path) -> None:
 def test_models_of_a_diagnosis_predict_too(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     model = eq.load_model(XML)
     refitted = eq.Model(model.robot.with_parameters({"hinge.armature": 0.004}))
-    augmented = eq.Model(refitted.robot, (eq.CoulombFriction("hinge", torque=0.05),))
+    augmented = eq.Model(refitted.robot, (eq.CoulombFriction("hinge", friction=0.05),))
     record = tmp_path / "report" / "record.json"
     record.parent.mkdir()
     record.write_text(
@@ -160,7 +160,7 @@ def test_the_record_of_a_diagnosis_holds_its_models() -> None:
 
     class Held:
         refitted = model
-        corrected = eq.Model(model.robot, (eq.CoulombFriction("hinge", torque=0.05),))
+        corrected = eq.Model(model.robot, (eq.CoulombFriction("hinge", friction=0.05),))
 
     held = Diagnosis._models(Held())  # type: ignore[arg-type]
     assert held == {"refitted": model_to_dict(Held.refitted), "corrected": model_to_dict(Held.corrected)}
@@ -175,6 +175,26 @@ def test_places_that_cannot_be_written_are_told_before_anything_is_simulated(
     (tmp_path / "a").write_text("a file")
     with pytest.raises(ConfigError, match=said):
         eq.export_recordings(RUNS, tmp_path / name, eq.load_model(XML))
+
+
+def test_rosbags_reads_the_bags_that_are_written(tmp_path: Path) -> None:
+    highlevel = pytest.importorskip("rosbags.highlevel", reason="rosbags is not installed")
+    model = eq.load_model(XML)
+    (folder,) = eq.export_recordings(RUNS / "run_1.csv", tmp_path / "bags", model, ros2=True)
+    with highlevel.AnyReader([folder]) as reader:
+        counts = {own.topic: own.msgcount for own in reader.connections}
+        rows = [reader.deserialize(raw, own.msgtype) for own, _, raw in reader.messages() if "residual" in own.topic]
+    trial = eq.read_recording(RUNS / "run_1.csv", model)
+    topics = ("/joint_states", "/commands", "/nominal/position", "/nominal/residual")
+    assert counts == dict.fromkeys(topics, len(trial.time))
+    predicted = eq.predict(model, trial)
+    np.testing.assert_allclose([row.position[0] for row in rows], (trial.position - predicted)[:, 0], atol=1e-12)
+    found = eq.read_recording(folder, model)
+    np.testing.assert_array_equal(found.position, trial.position)
+    np.testing.assert_array_equal(found.command, trial.command)
+    np.testing.assert_allclose(found.time, trial.time - trial.time[0], atol=2e-9)
+    with pytest.raises(ConfigError, match="is there already"):
+        eq.export_recordings(RUNS / "run_1.csv", tmp_path / "bags", model, ros2=True)
 
 
 def test_rerun_reads_what_is_written_for_it(tmp_path: Path) -> None:

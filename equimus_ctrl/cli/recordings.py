@@ -208,6 +208,9 @@ def export(
         Path | None, typer.Option("--augmented", metavar="FILE", help="Model file of the augmented model.")
     ] = None,
     mapping: MapFile = None,
+    ros2: Annotated[
+        bool, typer.Option("--ros2", help="Write a new folder of rosbag2 bags, one a trial, in the place of a file.")
+    ] = False,
     force: Force = False,
     as_json: Json = False,
 ) -> None:
@@ -221,6 +224,7 @@ def export(
     equimus-ctrl recordings export trials -o trials.mcap
     equimus-ctrl recordings export trials --model robot.xml --diagnosis report -o trials.mcap
     equimus-ctrl recordings export trials --augmented corrected.toml -o trials.rrd
+    equimus-ctrl recordings export trials --ros2 -o bags
     """  # noqa: D301
     from equimus_ctrl import workflow
     from equimus_ctrl.errors import ConfigError
@@ -233,7 +237,7 @@ def export(
         if file is not None:
             models[name] = workflow.load_model(file, recordings=recordings)
     with people().status("predicting"):
-        files = workflow.export_recordings(recordings, output, model, mapping=mapping, force=force, **models)
+        files = workflow.export_recordings(recordings, output, model, mapping=mapping, ros2=ros2, force=force, **models)
     print_files(people(), files)
     if as_json:
         print_json({"files": [str(file) for file in files]})

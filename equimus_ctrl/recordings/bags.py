@@ -7,15 +7,19 @@ those of the one topic that can be commands: ``std_msgs/msg/Float64MultiArray``,
 
 from __future__ import annotations
 
+import os
+import shutil
 from collections.abc import Iterator, Mapping
 from functools import partial
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from numpy.typing import NDArray
 
 from equimus_ctrl.errors import RecordingError
 from equimus_ctrl.recordings.assemble import elements
+from equimus_ctrl.recordings.exported import Exported
 from equimus_ctrl.recordings.logs import Log, Table, Wanted, needs, reading
 from equimus_ctrl.recordings.mapping import Mapping as ColumnMapping
 from equimus_ctrl.recordings.mapping import Source
@@ -197,3 +201,51 @@ def _points(
             raise log.missing(f"{base}.{name}", table)
         found[f"cmd.{name}"] = Source(column, table.name)
     return found
+
+
+def write_bag(path: Path, trial: Exported) -> None:
+    """A trial as a bag of ROS 2 (MCAP): ``/joint_states``, ``/commands``, and of each model position and residual.
+
+    Stamps are whole ns; notes, and what else is measured than joints, are not in it.
+
+    Args:
+        path: of the bag's folder, which is not there yet.
+        trial: with predictions.
+
+    Raises:
+        NotAvailable: where the rosbags library is not installed.
+        RecordingError: where the folder cannot be written.
+    """
+    try:
+        from rosbags.rosbag2 import StoragePlugin, Writer
+        from rosbags.typesys import Stores, get_typestore
+    except ImportError:
+        raise needs("rosbags", "logs", "writing bags") from None
+    store, recording = get_typestore(Stores.ROS2_HUMBLE), trial.recording
+    kinds, none = store.types, np.empty(0)
+    velocity = recording.velocity if recording.velocity is not None else np.empty((len(recording.time), 0))
+    states = {"/joint_states": (recording.position, velocity)}
+    for own in trial.predictions:
+        for what, block in (("position", own.position), ("residual", recording.position - own.position)):
+            states[f"/{own.model}/{what}"] = (block, velocity[:, :0])
+    layout = kinds["std_msgs/msg/MultiArrayLayout"](dim=[], data_offset=0)
+    half = path.with_name(f".{path.name}.{os.getpid()}.tmp")
+    try:
+        shutil.rmtree(half, ignore_errors=True)
+        half.parent.mkdir(parents=True, exist_ok=True)
+        with Writer(half / path.name, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
+            topics = {name: writer.add_connection(name, STATE, typestore=store) for name in states}
+            sent = writer.add_connection("/commands", ARRAY, typestore=store)
+            for k, at in enumerate(np.round((recording.time - recording.time[0]) * NANO).astype(np.int64).tolist()):
+                stamp = kinds["builtin_interfaces/msg/Time"](at // 10**9, at % 10**9)
+                header = kinds["std_msgs/msg/Header"](stamp, "")
+                numbers = kinds[ARRAY](layout, np.array(recording.command[k]))
+                writer.write(sent, at, bytes(store.serialize_cdr(numbers, ARRAY)))
+                for name, (block, rates) in states.items():
+                    message = kinds[STATE](header, list(recording.joints), np.array(block[k]), np.array(rates[k]), none)
+                    writer.write(topics[name], at, bytes(store.serialize_cdr(message, STATE)))
+        os.replace(half / path.name, path)
+    except OSError as error:
+        raise RecordingError(f"{path}: the bag cannot be written ({error.strerror or error})") from None
+    finally:
+        shutil.rmtree(half, ignore_errors=True)

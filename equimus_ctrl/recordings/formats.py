@@ -14,9 +14,9 @@ from equimus_ctrl.errors import RecordingError, unknown_name
 from equimus_ctrl.recordings import arrays, bags, bam, csvfile, mcapfile, parquet, rerunfile
 from equimus_ctrl.recordings.assemble import recording_of
 from equimus_ctrl.recordings.checks import Limits
+from equimus_ctrl.recordings.exported import Exported
 from equimus_ctrl.recordings.logs import Log, Wanted
 from equimus_ctrl.recordings.mapping import Mapping as ColumnMapping
-from equimus_ctrl.recordings.mcapfile import Exported
 from equimus_ctrl.recordings.sheet import PathLike
 from equimus_ctrl.recordings.tables import read_sheet
 from equimus_ctrl.types import Recording

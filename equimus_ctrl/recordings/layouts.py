@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from typing import Any
 from xml.etree import ElementTree
 
-from equimus_ctrl.recordings.mcapfile import Exported
+from equimus_ctrl.recordings.exported import Exported
 
 COLOURS = ("#1f77b4", "#d62728", "#2ca02c", "#ff7f0e", "#9467bd", "#17becf", "#bcbd22", "#e377c2")
 PLAIN = re.compile(r"[A-Za-z0-9_]+")

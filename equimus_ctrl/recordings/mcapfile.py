@@ -12,7 +12,6 @@ from __future__ import annotations
 import io
 import json
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -20,67 +19,17 @@ from typing import Any
 import numpy as np
 
 from equimus_ctrl.errors import RecordingError
-from equimus_ctrl.presets import check_regular, plain_name, write_bytes
-from equimus_ctrl.recordings import bags, csvfile
+from equimus_ctrl.presets import check_regular, write_bytes
+from equimus_ctrl.recordings import bags
+from equimus_ctrl.recordings.exported import LIBRARY, Exported
 from equimus_ctrl.recordings.logs import Loaded, Log, Table, needs, reading
 from equimus_ctrl.recordings.messages import NANO, columns_of
-from equimus_ctrl.types import Array, Recording
+from equimus_ctrl.types import Array
 
 MAGIC = b"\x89MCAP0\r\n"
-LIBRARY = "equimus-ctrl"
 NOTES = "equimus-ctrl/recording"
 TRIAL, COLUMNS = "trial", "columns"
 WHAT = "MCAP file"
-GROUPS = {"cmd": "command", "pos": "measured/position", "vel": "measured/velocity", "meas": "measured/actuator"}
-SITES = "measured/site"
-
-
-@dataclass(frozen=True, eq=False)
-class Prediction:
-    """What a model predicts of a trial.
-
-    Attributes:
-        model: ``nominal``, ``refitted`` or ``augmented``.
-        position: (n, nj) at the trial's times [rad or m].
-    """
-
-    model: str
-    position: Array
-
-
-@dataclass(frozen=True, eq=False)
-class Exported:
-    """A trial and what models predict of it.
-
-    Attributes:
-        recording: the trial.
-        predictions: of models.
-        units: column of the recording → SI unit.
-    """
-
-    recording: Recording
-    predictions: tuple[Prediction, ...] = ()
-    units: Mapping[str, str] = field(default_factory=dict)
-
-    @property
-    def folder(self) -> str:
-        """What topics of the trial begin with."""
-        return f"/{plain_name(self.recording.name)}"
-
-    def series(self) -> Iterator[tuple[str, dict[str, Array], dict[str, str]]]:
-        """(topic, field → (n,) values, field → column of the recording that it is) of each channel."""
-        groups: dict[str, dict[str, str]] = {}
-        values = dict(csvfile.columns(self.recording))
-        for column in values:
-            prefix, _, name = column.partition(".")
-            if name:
-                groups.setdefault(GROUPS.get(prefix, SITES), {})[name] = column
-        for group, names in groups.items():
-            yield f"{self.folder}/{group}", {name: values[column] for name, column in names.items()}, names
-        joints, measured = self.recording.joints, self.recording.position
-        for own in self.predictions:
-            for what, block in (("position", own.position), ("residual", measured - own.position)):
-                yield f"{self.folder}/{own.model}/{what}", {j: block[:, k] for k, j in enumerate(joints)}, {}
 
 
 def read_mcap(path: Path) -> list[Log]:

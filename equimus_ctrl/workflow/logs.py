@@ -13,6 +13,7 @@ from equimus_ctrl.engines.predict import check_columns, predict
 from equimus_ctrl.errors import ConfigError, RecordingError
 from equimus_ctrl.models.model import Model, model_from_dict, nominal_model
 from equimus_ctrl.recordings import Exported, Limits, Mapping, Prediction, read_set
+from equimus_ctrl.recordings.bags import write_bag
 from equimus_ctrl.recordings.csvfile import notes_of
 from equimus_ctrl.recordings.layouts import foxglove, plotjuggler
 from equimus_ctrl.recordings.mapping import si_unit
@@ -144,6 +145,7 @@ def export_recordings(
     refitted: Model | None = None,
     augmented: Model | None = None,
     mapping: Mapping | Path | str | None = None,
+    ros2: bool = False,
     force: bool = False,
 ) -> list[Path]:
     """Write trials, predictions of models and residuals for Foxglove and PlotJuggler (``.mcap``) or rerun (``.rrd``).
@@ -158,6 +160,7 @@ def export_recordings(
         refitted: its parameters re-identified.
         augmented: with the effects found.
         mapping: what the columns of files of other formats are, or its file.
+        ros2: whether a folder of bags is written in their place, one a trial, for those who work with ROS 2.
         force: whether files that are there are replaced.
 
     Returns:
@@ -167,11 +170,11 @@ def export_recordings(
         EquimusError: where something cannot be read, simulated or written, or is there already.
     """
     path = Path(path)
-    if path.suffix.lower() not in SUFFIXES:
+    if not ros2 and path.suffix.lower() not in SUFFIXES:
         raise ConfigError(f"{path}: expected a name that ends in {' or '.join(SUFFIXES)}")
-    layouts = [path.with_suffix(suffix) for suffix in LAYOUTS] if path.suffix.lower() == ".mcap" else []
+    layouts = [path.with_suffix(suffix) for suffix in LAYOUTS] if path.suffix.lower() == ".mcap" and not ros2 else []
     for file in (path, *layouts):
-        outputs.check_new(file, force)
+        outputs.check_new(file, force and not ros2)
     presets.check_folder(path.parent)
     model = model or nominal_model()
     models = {NOMINAL: model}
@@ -180,6 +183,18 @@ def export_recordings(
             check_same(own, model, name)
             models[name] = own
     trials = exported(gather(recordings, model, mapping), models)
+    folders = [trial.folder for trial in trials]
+    for trial in trials:
+        if folders.count(trial.folder) > 1:
+            raise ConfigError(
+                f"{trial.recording.name}: another trial would have the same topics, {trial.folder}/…; expected names "
+                "that differ in letters and digits"
+            )
+    if ros2:
+        bags = [path / presets.plain_name(trial.recording.name) for trial in trials]
+        for bag, trial in zip(bags, trials, strict=True):
+            write_bag(bag, trial)
+        return bags
     if not layouts:
         write_rerun(path, trials)
         return [path]
