@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+import tomllib
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -10,6 +12,7 @@ import numpy as np
 import pytest
 
 import equimus_ctrl as eq
+from equimus_ctrl.cli.main import main
 from equimus_ctrl.errors import ConfigError, NotAvailable, RecordingError
 from equimus_ctrl.recordings import Mapping, RecordingWarning, read_mapping, write_recording
 from equimus_ctrl.types import Recording
@@ -25,6 +28,7 @@ from foreign_logs import (
     JOINTS,
     ONE,
     TIMES,
+    XML,
     array,
     goals,
     joint_state,
@@ -267,6 +271,34 @@ def test_a_library_that_is_missing_is_named_with_its_extra(monkeypatch: pytest.M
             NotAvailable, match=rf"is not installed; get it with: pip install 'equimus-ctrl\[{extra}\]'"
         ):
             write_recording(tmp_path / f"trial{suffix}", trial)
+
+
+def test_verbs_take_logs_with_a_mapping(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    robot, file = tmp_path / "arm.xml", tmp_path / "map.toml"
+    robot.write_text(XML)
+    file.write_text('[units]\npos = "deg"\ncmd = "deg"\n')
+    path = write_lerobot(tmp_path / "set")
+    given = [str(path), "--model", str(robot), "--map", str(file), "--json"]
+    assert main(["score", *given]) == 0
+    scored = json.loads(capsys.readouterr().out)
+    assert main(["recordings", "import", *given, "-o", str(tmp_path / "trials")]) == 0
+    assert [Path(name).name for name in json.loads(capsys.readouterr().out)["files"]] == [
+        "episode_000000.csv",
+        "episode_000001.csv",
+    ]
+    assert main(["score", str(tmp_path / "trials"), "--model", str(robot), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["trials"] == scored["trials"]
+    assert main(["recordings", "check", *given]) == 0
+    assert main(["score", *given[:3]]) == 2
+    assert "what observation.state measures is not in the dataset" in capsys.readouterr().err
+
+
+def test_the_mapping_of_the_page_is_one() -> None:
+    page = (Path(__file__).resolve().parents[1] / "docs" / "logs.md").read_text()
+    (block,) = (own.partition("```")[0] for own in page.split("```toml\n")[1:])
+    mapping = Mapping.from_dict(tomllib.loads(block))
+    assert mapping.columns["pos.elbow"].offset == 90 and mapping.columns["vel.elbow"].column == "elbow_rate"
+    assert mapping.clock.unit == "us" and mapping.names["pos"] == ("shoulder", "elbow")
 
 
 def test_a_folder_of_logs_is_a_set(tmp_path: Path) -> None:
