@@ -49,7 +49,8 @@ def read_bam(path: Path) -> list[Log]:
         at = own.get(CLOCK)
         if isinstance(at, bool) or not isinstance(at, int | float):
             raise RecordingError(f"{path}: entry {k + 1} has {CLOCK} {at!r}, expected a number of seconds")
-    _, columns = columns_of((float(own[CLOCK]), None, own) for own in entries)
+    with reading(path, "log"):  # an entry may be nested as deeply as somebody likes
+        _, columns = columns_of((float(own[CLOCK]), None, own) for own in entries)
     notes = {"source": path.name}
     notes |= {f"bam.{key}": _text(value) for key, value in data.items() if isinstance(value, str | int | float)}
     parts = _powered(path, columns, len(entries))

@@ -112,7 +112,8 @@ def _trial(path: Path, name: str, channels: Sequence[Any], notes: Mapping[str, s
     def load() -> Loaded:
         columns: dict[str, Any] = {}
         for channel in channels:
-            names = json.loads(channel.metadata[COLUMNS])
+            with reading(path, WHAT):
+                names = dict(json.loads(channel.metadata[COLUMNS]))
             _, found = _load(path, channel.topic)
             for key, column in {"time": "time", **names}.items():
                 values = found.get(key)
