@@ -41,7 +41,7 @@ def read_mcap(path: Path) -> list[Log]:
     """
     if _profile(path) == "ros2":
         return bags.read_bag(path)
-    make_reader = _mcap().reader.make_reader
+    make_reader = mcap_library().reader.make_reader
     with reading(path, WHAT), path.open("rb") as file:
         reader = make_reader(file, validate_crcs=True)
         summary = reader.get_summary()
@@ -95,7 +95,7 @@ def _load(path: Path, topic: str) -> Loaded:
 def _messages(path: Path, topic: str) -> Iterator[tuple[float, Any]]:
     """(log time from the first message of the file on [s], message) of a topic, in the order logged."""
     with path.open("rb") as file:
-        reader = _mcap().reader.make_reader(file, validate_crcs=True)
+        reader = mcap_library().reader.make_reader(file, validate_crcs=True)
         summary = reader.get_summary()
         begun = summary.statistics.message_start_time if summary and summary.statistics else 0
         for _, _, own in reader.iter_messages(topics=[topic]):
@@ -145,7 +145,7 @@ def write_mcap(path: Path, trials: Sequence[Exported], notes: Sequence[Mapping[s
         NotAvailable: where mcap is not installed.
         ConfigError: where it cannot be written.
     """
-    mcap = _mcap()
+    mcap = mcap_library()
     buffer = io.BytesIO()
     writer = mcap.writer.Writer(buffer)
     writer.start(profile="", library=LIBRARY)
@@ -185,7 +185,12 @@ def _schema(
     return {"title": title, "type": "object", "properties": fields, "required": list(fields)}
 
 
-def _mcap() -> Any:
+def mcap_library() -> Any:
+    """The library.
+
+    Raises:
+        NotAvailable: where it is not installed.
+    """
     try:
         import mcap
         import mcap.reader

@@ -20,7 +20,7 @@ def write_rerun(path: Path, trials: Sequence[Exported]) -> None:
         NotAvailable: where rerun is not installed.
         ConfigError: where it cannot be written.
     """
-    rerun = _rerun()
+    rerun = rerun_library()
     with tempfile.TemporaryDirectory() as scratch:
         file = os.path.join(scratch, "trials.rrd")
         stream = rerun.RecordingStream(LIBRARY, recording_id=path.stem, send_properties=False)
@@ -36,7 +36,12 @@ def write_rerun(path: Path, trials: Sequence[Exported]) -> None:
         write_bytes(path, Path(file).read_bytes())
 
 
-def _rerun() -> Any:
+def rerun_library() -> Any:
+    """The library.
+
+    Raises:
+        NotAvailable: where it is not installed.
+    """
     try:
         import rerun
     except ImportError:

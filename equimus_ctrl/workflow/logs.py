@@ -17,8 +17,8 @@ from equimus_ctrl.recordings.bags import write_bag
 from equimus_ctrl.recordings.csvfile import notes_of
 from equimus_ctrl.recordings.layouts import foxglove, plotjuggler
 from equimus_ctrl.recordings.mapping import si_unit
-from equimus_ctrl.recordings.mcapfile import write_mcap
-from equimus_ctrl.recordings.rerunfile import write_rerun
+from equimus_ctrl.recordings.mcapfile import mcap_library, write_mcap
+from equimus_ctrl.recordings.rerunfile import rerun_library, write_rerun
 from equimus_ctrl.robots.mjcf.editing import Edits
 from equimus_ctrl.robots.mjcf.robot import MjcfRobot
 from equimus_ctrl.types import Recording
@@ -176,6 +176,8 @@ def export_recordings(
     for file in (path, *layouts):
         outputs.check_new(file, force and not ros2)
     presets.check_folder(path.parent)
+    if not ros2:  # what is missing is told before the work
+        (mcap_library if layouts else rerun_library)()
     model = model or nominal_model()
     models = {NOMINAL: model}
     for name, own in ((REFITTED, refitted), (AUGMENTED, augmented)):
