@@ -96,6 +96,7 @@ from .plants.registry import (
     register_plant as register_plant,
 )
 from .plants.replay import ReplayPlant as ReplayPlant
+from .recordings import Mapping as Mapping, read_mapping as read_mapping, write_recording as write_recording
 from .robots.base import Robot as Robot, RobotTraits as RobotTraits
 from .robots.elastic.leg import ideal_leg as ideal_leg, nominal_leg as nominal_leg
 from .robots.elastic.morphology import (
@@ -142,9 +143,11 @@ from .workflow import (
     compare as compare,
     diagnose_recordings as diagnose_recordings,
     export_model as export_model,
+    export_recordings as export_recordings,
     identify_poses as identify_poses,
     identify_recordings as identify_recordings,
     load_plugins as load_plugins,
+    read_recording as read_recording,
     load_model as load_model,
     run_scenario as run_scenario,
     save_model as save_model,

@@ -80,6 +80,7 @@ EXAMPLES: dict[str, tuple[str, Any]] = {
     "rate": ("--rate 60", 60.0),
     "shares": ("--share 20 --share -5 --share 20", (-0.05, 0.2)),
     "leave_out": ("--leave-out backlash --leave-out creep@maa", ["backlash", "creep@maa"]),
+    "mapping": ("--map columns.toml", Path("columns.toml")),
     "most": ("--most 2", 2),
     "output": ("-o mine.toml", Path("mine.toml")),
     "parameters": ("--parameters free.toml", Path("free.toml")),

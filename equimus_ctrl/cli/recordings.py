@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from equimus_ctrl.cli.common import Json, ModelFile, people, print_engine, print_json
+from equimus_ctrl.cli.common import Force, Json, ModelFile, people, print_engine, print_files, print_json
 from equimus_ctrl.cli.emulate import HardwareFile
 from equimus_ctrl.cli.model_choice import ModelChoice
 from equimus_ctrl.cli.options import with_options
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from equimus_ctrl.models.model import Model
     from equimus_ctrl.recordings import Summary
 
-app = typer.Typer(help="Import, check and fetch recordings.", no_args_is_help=True, rich_markup_mode="rich")
+app = typer.Typer(help="Import, check, export and fetch recordings.", no_args_is_help=True, rich_markup_mode="rich")
 
 High = Annotated[float, typer.Option("--command-high", help="Highest command allowed, in Pa.")]
 Low = Annotated[float, typer.Option("--command-low", help="Lowest command allowed, in Pa.")]
@@ -32,27 +32,48 @@ Rotating = Annotated[
 ]
 
 
+MapFile = Annotated[
+    Path | None,
+    typer.Option("--map", metavar="FILE", help="File (TOML) that says what the columns of files of other formats are."),
+]
+
+
 @app.command("import")
+@with_options
 def import_(
-    sources: Annotated[list[Path], typer.Argument(help="Files or folders, in the leg's upstream formats or ours.")],
+    sources: Annotated[
+        list[Path],
+        typer.Argument(help="Files or folders: CSV, npz, parquet, MCAP, rosbag2, LeRobot, PACE, BAM, the leg's own."),
+    ],
+    chosen: ModelChoice,
     output: Annotated[Path, typer.Option("--output", "-o", help="Folder to write into, one CSV file a trial.")],
     force: Annotated[bool, typer.Option("--force", help="Replace files that are there already.")] = False,
+    mapping: MapFile = None,
     command_low: Low = 0.0,
     command_high: High = 50_000.0,
     as_json: Json = False,
 ) -> None:
     """Convert recordings to one CSV file a trial: all of them, or none.
 
+    Columns go by the names of the model's joints and actuators; what a file calls otherwise, or in which unit, sign and
+    clock it has it, --map says.
+
     \b
     [bold]Examples[/bold]
     equimus-ctrl recordings import step_release.csv --output trials
     equimus-ctrl recordings import ../shared/recordings/equimus_leg -o trials --force
     equimus-ctrl recordings import triangle.csv -o trials --json
+    equimus-ctrl recordings import my_bag run.mcap --model robot.xml -o trials
+    equimus-ctrl recordings import my_dataset --model so101.xml --map degrees.toml -o trials
     """  # noqa: D301 (the backspace keeps the lines of the examples apart)
-    from equimus_ctrl import recordings
+    from equimus_ctrl import recordings, workflow
 
     limits = recordings.Limits(command_low=command_low, command_high=command_high)
-    files = recordings.convert(sources, output, force=force, limits=limits)
+    if chosen.model is None and mapping is None:
+        files = recordings.convert(sources, output, force=force, limits=limits)
+    else:
+        trials = workflow.gather(sources, chosen.read(sources), mapping)
+        files = recordings.write_set(trials, output, force=force)
     people().print(f"{len(files)} trials written to {output}", markup=False, soft_wrap=True)
     if as_json:
         print_json({"files": [str(file) for file in files]})
@@ -92,6 +113,7 @@ def check(
     command_low: Low = 0.0,
     command_high: High = 50_000.0,
     rotating: Rotating = None,
+    mapping: MapFile = None,
     as_json: Json = False,
 ) -> None:
     """Read recordings and say what they hold; the first thing that is wrong ends it, with exit code 2.
@@ -117,9 +139,9 @@ def check(
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", recordings.RecordingWarning)
         if known.robot.traits.commands_are_pressures:
-            trials = recordings.read_set(paths, limits=limits)
+            trials = recordings.read_set(paths, limits=limits, mapping=workflow.mapping_of(mapping))
         else:
-            trials = tuple(workflow.gather(paths, known))
+            trials = tuple(workflow.gather(paths, known, mapping))
     plausibility_warnings = list(dict.fromkeys(str(warning.message) for warning in caught))
     summaries = [recordings.summarise(trial) for trial in trials]
     console = people()
@@ -163,6 +185,62 @@ def _table(summaries: Sequence[Summary], robot: Model) -> Table:
             *(reading_text(ends, joints[name]) for name, ends in s.position_rad.items()),
         )
     return table
+
+
+@app.command()
+@with_options
+def export(
+    recordings: Annotated[list[Path], typer.Argument(help="Recordings: files or folders, of any format that is read.")],
+    chosen: ModelChoice,
+    output: Annotated[
+        Path, typer.Option("--output", "-o", metavar="FILE", help="File to write: .mcap, or .rrd for rerun.")
+    ],
+    diagnosis: Annotated[
+        Path | None,
+        typer.Option(
+            "--diagnosis", metavar="DIR", help="Report of a diagnosis: its refitted and augmented model predict too."
+        ),
+    ] = None,
+    refitted: Annotated[
+        Path | None, typer.Option("--refitted", metavar="FILE", help="Model file of the refitted model.")
+    ] = None,
+    augmented: Annotated[
+        Path | None, typer.Option("--augmented", metavar="FILE", help="Model file of the augmented model.")
+    ] = None,
+    mapping: MapFile = None,
+    ros2: Annotated[
+        bool, typer.Option("--ros2", help="Write a new folder of rosbag2 bags, one a trial, in the place of a file.")
+    ] = False,
+    force: Force = False,
+    as_json: Json = False,
+) -> None:
+    """Write recordings, what models predict of them and the residuals, for Foxglove, PlotJuggler or rerun.
+
+    An MCAP file has its schemas in it and needs no ROS; a layout for Foxglove and one for PlotJuggler are written
+    beside it. Each trial is predicted from its own measured start.
+
+    \b
+    [bold]Examples[/bold]
+    equimus-ctrl recordings export trials -o trials.mcap
+    equimus-ctrl recordings export trials --model robot.xml --diagnosis report -o trials.mcap
+    equimus-ctrl recordings export trials --augmented corrected.toml -o trials.rrd
+    equimus-ctrl recordings export trials --ros2 -o bags
+    """  # noqa: D301
+    from equimus_ctrl import workflow
+    from equimus_ctrl.errors import ConfigError
+
+    if diagnosis is not None and (refitted is not None or augmented is not None):
+        raise ConfigError("--diagnosis has a refitted and an augmented model; expected it or --refitted, --augmented")
+    model = chosen.read(recordings)
+    models = {} if diagnosis is None else workflow.recorded_models(diagnosis, model, chosen.model)
+    for name, file in (("refitted", refitted), ("augmented", augmented)):
+        if file is not None:
+            models[name] = workflow.load_model(file, recordings=recordings)
+    with people().status("predicting"):
+        files = workflow.export_recordings(recordings, output, model, mapping=mapping, ros2=ros2, force=force, **models)
+    print_files(people(), files)
+    if as_json:
+        print_json({"files": [str(file) for file in files]})
 
 
 @app.command()

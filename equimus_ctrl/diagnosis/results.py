@@ -20,7 +20,7 @@ from equimus_ctrl.engines.base import Engine
 from equimus_ctrl.identification.noise import Noise
 from equimus_ctrl.identification.results import FittedChannel, fitted_channels
 from equimus_ctrl.identification.segments import Segment
-from equimus_ctrl.models.model import Model
+from equimus_ctrl.models.model import Model, model_to_dict
 from equimus_ctrl.types import Array
 
 SCHEMA = "equimus-ctrl/diagnosis/2"
@@ -375,6 +375,7 @@ class Diagnosis:
             "excess_residual_variance": dict(self.excess_variance),
             "explained_share": {part: _finite(self.explained(part)) for part in SETS},
             "parameters": self._parameters(),
+            "models": self._models(),
             "zeros": [asdict(zero) for zero in self.best.fit.zeros],
             "separating_experiment": self.experiment.to_dict() if self.experiment else None,
             "detectable": [smallest.to_dict() for smallest in self.detectable],
@@ -388,6 +389,14 @@ class Diagnosis:
             "not_done": list(self.not_done),
             "notes": list(self.notes),
             "seconds": self.seconds,
+        }
+
+    def _models(self) -> dict[str, Any]:
+        """As model files hold them."""
+        grouped = bool(self.corrected.by_group)
+        return {
+            "refitted": model_to_dict(self.refitted),
+            "corrected": None if grouped else model_to_dict(self.corrected),
         }
 
     def _groups(self) -> dict[str, Any]:

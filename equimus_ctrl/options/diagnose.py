@@ -16,6 +16,7 @@ from equimus_ctrl.options.fields import (
     at_least,
     bounds_option,
     engine_option,
+    mapping_option,
     parameters_option,
     select_option,
     threads_option,
@@ -27,6 +28,7 @@ from equimus_ctrl.options.offers import option
 if TYPE_CHECKING:
     from equimus_ctrl.engines.base import EngineName
     from equimus_ctrl.options.fields import Bounds, Window
+    from equimus_ctrl.recordings import Mapping
 
 
 GROUPINGS = ("folder",)
@@ -42,6 +44,7 @@ class DiagnoseOptions:
         fix: names or patterns of parameters to keep at their values all the same.
         bounds: (low, high) of some of them.
         parameters: file that says what is free, see ``workflow.mjcf.read_free``; ``free`` adds, ``bounds`` win.
+        mapping: what the columns of files of other formats are, or its file, see ``recordings.mapping``.
         select: patterns of the names of the trials to use; all by default.
         validation: patterns of the names of trials by which effects are confirmed or rejected; see
             ``diagnosis.holdout.split`` for the default.
@@ -82,6 +85,7 @@ class DiagnoseOptions:
     until: float | None = option(
         None, float | None, "Fit each trial up to this time only; the rest is held out.", metavar="SECONDS"
     )
+    mapping: Mapping | Path | None = mapping_option()
     select: Sequence[str] | None = select_option()
     window: Window | None = window_option("Use this part of each trial only, in s.")
     free: Sequence[str] | None = option(

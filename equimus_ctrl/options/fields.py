@@ -76,6 +76,12 @@ def select_option() -> Any:
     return option(None, NAMES, text, metavar="PATTERN")
 
 
+def mapping_option() -> Any:
+    """What the columns of files of other formats are."""
+    text = "File (TOML) that says what the columns of files of other formats are."
+    return option(None, Path | None, text, "--map", metavar="FILE")
+
+
 def window_option(text: str) -> Any:
     """A part of each trial."""
     return option(None, SPAN, text, metavar="FROM TO")

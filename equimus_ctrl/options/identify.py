@@ -16,6 +16,7 @@ from equimus_ctrl.options.fields import (
     bounds_option,
     dt_option,
     engine_option,
+    mapping_option,
     parameters_option,
     select_option,
     threads_option,
@@ -28,7 +29,7 @@ if TYPE_CHECKING:
     from equimus_ctrl.engines.base import EngineName
     from equimus_ctrl.identification.fit import FitSettings
     from equimus_ctrl.options.fields import Bounds, Some, Window
-    from equimus_ctrl.recordings import StaticPoses
+    from equimus_ctrl.recordings import Mapping, StaticPoses
 
 
 @dataclass(frozen=True)
@@ -40,6 +41,7 @@ class IdentifyOptions:
             poses at rest the first three.
         fix: names or patterns of parameters to keep at their values all the same.
         bounds: (low, high) of some of them.
+        mapping: what the columns of files of other formats are, or its file, see ``recordings.mapping``.
         select: patterns of the names of the trials to use; all by default.
         parameters: file that says what is free, see ``workflow.mjcf.read_free``; ``free`` adds, ``bounds`` win.
         heldout: held-out files, folders, trials or poses; those that take part in the fit are dropped.
@@ -68,6 +70,7 @@ class IdentifyOptions:
     )
     fix: Sequence[str] = option((), NAMES, "Parameters to keep at their values all the same.", metavar="NAME")
     bounds: Bounds | None = bounds_option()
+    mapping: Mapping | Path | None = mapping_option()
     select: Sequence[str] | None = select_option()
     parameters: Path | None = parameters_option()
     heldout: Some | Sequence[StaticPoses] = option(

@@ -4,15 +4,17 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Literal, get_args
 
 from equimus_ctrl.errors import ConfigError, unknown_name
-from equimus_ctrl.options.fields import engine_option, window_option
+from equimus_ctrl.options.fields import engine_option, mapping_option, window_option
 from equimus_ctrl.options.offers import option
 
 if TYPE_CHECKING:
     from equimus_ctrl.engines.base import EngineName
     from equimus_ctrl.options.fields import Window
+    from equimus_ctrl.recordings import Mapping
 
 StartName = Literal["fitted", "measured"]
 
@@ -26,6 +28,7 @@ class ScoreOptions:
 
     Attributes:
         engine: ``"reduced"`` or ``"mujoco"``; by default see ``engines.choice.engine_for``.
+        mapping: what the columns of files of other formats are, or its file, see ``recordings.mapping``.
         window: (from, to) of each trial that counts; all of it by default [s].
         rate: of a grid to compare on; the recording's own rows by default [Hz].
         start: ``"measured"``, each trial begins as its first rows show, or ``"fitted"``, as predicts it best: by least
@@ -38,6 +41,7 @@ class ScoreOptions:
     """
 
     engine: EngineName | None = engine_option()
+    mapping: Mapping | Path | None = mapping_option()
     window: Window | None = window_option("Score this part of each trial, in s.")
     rate: float | None = option(
         None, float | None, "Compare on a grid of this rate, in Hz; at the recorded rows by default."

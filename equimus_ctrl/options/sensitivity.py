@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from equimus_ctrl.options.fields import (
@@ -12,6 +13,7 @@ from equimus_ctrl.options.fields import (
     at_least,
     dt_option,
     engine_option,
+    mapping_option,
     select_option,
     shares_of,
     threads_option,
@@ -22,6 +24,7 @@ from equimus_ctrl.options.offers import option
 if TYPE_CHECKING:
     from equimus_ctrl.engines.base import EngineName
     from equimus_ctrl.options.fields import Window
+    from equimus_ctrl.recordings import Mapping
 
 
 @dataclass(frozen=True)
@@ -31,6 +34,7 @@ class SensitivityOptions:
     Attributes:
         parameters: names or patterns; all by default.
         shares: by which each is changed; ``identification.sensitivity.SHARES`` by default.
+        mapping: what the columns of files of other formats are, or its file, see ``recordings.mapping``.
         select: patterns of the names of the trials to use; all by default.
         window: (from, to) of each trial that is compared; all of it by default [s].
         engine: ``"reduced"`` or ``"mujoco"``; by default see ``engines.choice.engine_for``.
@@ -52,6 +56,7 @@ class SensitivityOptions:
         metavar="PERCENT",
         read=shares_of,
     )
+    mapping: Mapping | Path | None = mapping_option()
     select: Sequence[str] | None = select_option()
     window: Window | None = window_option("Use this part of each trial only, in s.")
     engine: EngineName | None = engine_option()

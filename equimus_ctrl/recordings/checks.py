@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from equimus_ctrl.errors import ConfigError
-from equimus_ctrl.recordings.sheet import Sheet, number
+from equimus_ctrl.recordings.sheet import Tabular, number
 from equimus_ctrl.types import Array, Recording
 
 GAP, GAP_TIME = 100, 2.0
@@ -87,7 +87,7 @@ class Limits:
 LEG = Limits()
 
 
-def check_time(sheet: Sheet, column: str, time: Array, limits: Limits) -> None:
+def check_time(sheet: Tabular, column: str, time: Array, limits: Limits) -> None:
     """Raise RecordingError unless ``time`` (n,) [s] has two rows or more, ascends strictly, and is in seconds."""
     if len(time) < 2:
         raise sheet.error(0, column, "this is the only row; a recording has at least two")
@@ -105,7 +105,7 @@ def check_time(sheet: Sheet, column: str, time: Array, limits: Limits) -> None:
     check_gaps(sheet, column, time)
 
 
-def check_gaps(sheet: Sheet, column: str, time: Array) -> None:
+def check_gaps(sheet: Tabular, column: str, time: Array) -> None:
     """Raise RecordingError where there are no rows for more than half of the time; the longest gap is told."""
     if (row := after_gap(time)) is not None:
         raise sheet.error(row, column, gap_problem(time, row))
@@ -131,7 +131,7 @@ def _usual(steps: Array) -> float:
     return float(np.sort(steps)[(len(steps) - 1) // 2])
 
 
-def check_interval(sheet: Sheet, column: str, steps: Array, limits: Limits) -> None:
+def check_interval(sheet: Tabular, column: str, steps: Array, limits: Limits) -> None:
     """Raise RecordingError where the median of ``steps``, the times between rows, cannot be seconds."""
     interval = float(np.median(steps))
     if interval > limits.max_interval:
@@ -143,7 +143,7 @@ def check_interval(sheet: Sheet, column: str, steps: Array, limits: Limits) -> N
         )
 
 
-def check_commands(sheet: Sheet, columns: Sequence[str], command: Array, limits: Limits, unit: float = 1.0) -> None:
+def check_commands(sheet: Tabular, columns: Sequence[str], command: Array, limits: Limits, unit: float = 1.0) -> None:
     """Raise RecordingError where ``command`` (n, k) is outside the range; ``unit`` is what one of it is in Pa."""
     outside = _outside(command * unit, limits)
     if outside.any():
@@ -167,7 +167,9 @@ def _outside(command: Array, limits: Limits) -> np.ndarray[tuple[int, ...], np.d
     return np.asarray((command > limits.command_high + slack) | (command < limits.command_low - slack))
 
 
-def check_angles(sheet: Sheet, joints: Sequence[str], columns: Sequence[str], position: Array, limits: Limits) -> None:
+def check_angles(
+    sheet: Tabular, joints: Sequence[str], columns: Sequence[str], position: Array, limits: Limits
+) -> None:
     """Raise RecordingError where ``position`` (n, n_joints) cannot be radians; see ``Limits.max_angle``."""
     judged = [k for k, joint in enumerate(joints) if joint not in limits.rotating]
     beyond = np.abs(position[:, judged]) > limits.max_angle
@@ -182,7 +184,7 @@ def check_angles(sheet: Sheet, joints: Sequence[str], columns: Sequence[str], po
         )
 
 
-def check_degrees(sheet: Sheet, columns: Sequence[str], position: Array) -> None:
+def check_degrees(sheet: Tabular, columns: Sequence[str], position: Array) -> None:
     """Raise RecordingError where ``position`` (n, k), said to be degrees, stays within a full turn in radians."""
     if np.abs(position).max() <= 2.0 * math.pi:
         raise sheet.error(

@@ -22,7 +22,7 @@ import numpy as np
 from equimus_ctrl.errors import RecordingError, nearest, unknown_name
 from equimus_ctrl.recordings import checks, upstream
 from equimus_ctrl.recordings.checks import LEG, Limits, after_gap, gap_problem
-from equimus_ctrl.recordings.sheet import PathLike, Sheet, open_sheet, reason, shorten
+from equimus_ctrl.recordings.sheet import PathLike, Tabular, open_sheet, reason, shorten
 from equimus_ctrl.types import Array, Recording
 
 PREFIXES = {"cmd": "actuator", "pos": "joint", "vel": "joint", "meas": "actuator"}
@@ -57,7 +57,7 @@ def read(path: PathLike, *, limits: Limits = LEG) -> Recording:
     return recording
 
 
-def from_sheet(sheet: Sheet, limits: Limits) -> Recording:
+def from_sheet(sheet: Tabular, limits: Limits) -> Recording:
     """The trial in ``sheet``, checked."""
     groups = _columns(sheet, limits)
     joints, actuators = groups["pos"], groups["cmd"]
@@ -85,7 +85,7 @@ def from_sheet(sheet: Sheet, limits: Limits) -> Recording:
     checks.check_commands(sheet, names.get("cmd", ()), command, limits)
     checks.check_angles(sheet, joints, names["pos"], position, limits)
     return Recording(
-        name=sheet.path.stem,
+        name=sheet.name,
         time=time,
         command=command,
         position=position,
@@ -109,14 +109,14 @@ def _order(prefix: str, groups: Mapping[str, tuple[str, ...]]) -> tuple[str, ...
     return groups["cmd" if PREFIXES[prefix] == "actuator" else "pos"]
 
 
-def _columns(sheet: Sheet, limits: Limits) -> dict[str, tuple[str, ...]]:
+def _columns(sheet: Tabular, limits: Limits) -> dict[str, tuple[str, ...]]:
     """Actuator and joint names by prefix, from a header that has all it needs."""
     found: dict[str, list[str]] = {prefix: [] for prefix in PREFIXES}
     for column in sheet.header:
         prefix, dot, name = column.partition(".")
         if prefix in PREFIXES and dot and name:
             found[prefix].append(name)
-        elif column != "time" and not _is_site(column):
+        elif column != "time" and not is_site(column):
             raise sheet.header_error(_unknown_column(column))
     if "time" not in sheet.header:
         raise sheet.header_error("column 'time' is missing; sample times in seconds belong in it")
@@ -143,12 +143,13 @@ def _columns(sheet: Sheet, limits: Limits) -> dict[str, tuple[str, ...]]:
     return {prefix: tuple(names) for prefix, names in found.items()}
 
 
-def _is_site(column: str) -> bool:
+def is_site(column: str) -> bool:
+    """Whether a column is a coordinate of a site."""
     name, _, axis = column.removeprefix(SITE).rpartition(".")
     return column.startswith(SITE) and bool(name) and axis in AXES
 
 
-def _demand_all(sheet: Sheet, prefix: str, found: Sequence[str], together: Sequence[str], hint: str) -> None:
+def _demand_all(sheet: Tabular, prefix: str, found: Sequence[str], together: Sequence[str], hint: str) -> None:
     missing = [name for name in together if name not in found]
     if missing and len(missing) < len(together):
         present = next(name for name in together if name in found)
@@ -165,7 +166,7 @@ def _unknown_column(column: str) -> str:
     return f"there is no column {shorten(column)}{nearest(column.lower(), candidates)} (known: {known})"
 
 
-def _notes(sheet: Sheet, actuators: tuple[str, ...], limits: Limits) -> tuple[dict[str, str], Array | None]:
+def _notes(sheet: Tabular, actuators: tuple[str, ...], limits: Limits) -> tuple[dict[str, str], Array | None]:
     """The notes without those that state ``before``, and ``before`` (n_actuators,) [Pa] where it is stated."""
     notes: dict[str, str] = {}
     before: dict[str, float] = {}
@@ -224,9 +225,19 @@ def write(path: PathLike, recording: Recording) -> None:
             cannot be written.
     """
     path = Path(path)
-    _check_writable(path, recording)
-    header = ["time"]
-    blocks = [recording.time[:, None]]
+    check_writable(path, recording)
+    header, blocks = zip(*columns(recording), strict=True)
+    values = np.column_stack(blocks)
+    with replacing(path) as file:
+        for key, value in notes_of(recording).items():
+            file.write(f"# {key} = {value}\n")
+        file.write(",".join(header) + "\n")
+        file.writelines(",".join(map(repr, row)) + "\n" for row in values.tolist())
+
+
+def columns(recording: Recording) -> Iterator[tuple[str, Array]]:
+    """(name, (n,) values) of the columns of a recording's file; none of what no sensor gives."""
+    yield "time", recording.time
     for prefix, names, block in (
         ("cmd", recording.actuators, recording.command),
         ("pos", recording.joints, recording.position),
@@ -234,27 +245,23 @@ def write(path: PathLike, recording: Recording) -> None:
         ("meas", [recording.actuators[i] for i in recording.force_columns], _sensed(recording)),
     ):
         if block is not None:
-            header += [f"{prefix}.{name}" for name in names]
-            blocks.append(block)
-    header += [f"{SITE}{name}" for name in recording.sites]
-    blocks += [block[:, None] for block in recording.sites.values()]
-    values = np.hstack(blocks)
-    if not np.isfinite(values).all():
-        row, k = (int(i) for i in np.argwhere(~np.isfinite(values))[0])
-        raise RecordingError(
-            f"{path}: sample {row} of {header[k]} is {values[row, k]}; only finite numbers are written"
-        )
-    with replacing(path) as file:
-        for key, value in recording.notes.items():
-            file.write(f"# {key} = {value}\n")
-        if recording.before is not None:
-            for name, pressure in zip(recording.actuators, recording.before.tolist(), strict=True):
-                file.write(f"# {BEFORE}{name} = {pressure!r}\n")
-        file.write(",".join(header) + "\n")
-        file.writelines(",".join(map(repr, row)) + "\n" for row in values.tolist())
+            yield from ((f"{prefix}.{name}", block[:, k]) for k, name in enumerate(names))
+    yield from ((f"{SITE}{name}", values) for name, values in recording.sites.items())
 
 
-def _check_writable(path: Path, recording: Recording) -> None:
+def notes_of(recording: Recording) -> dict[str, str]:
+    """The notes of a recording's file, with those that state the command before the first row."""
+    before = () if recording.before is None else recording.before.tolist()
+    stated = zip(recording.actuators, before, strict=True) if before else ()
+    return {**recording.notes, **{f"{BEFORE}{name}": repr(value) for name, value in stated}}
+
+
+def check_writable(path: Path, recording: Recording) -> None:
+    """Nothing where a recording is one that could be read back.
+
+    Raises:
+        RecordingError: where it is not, see ``write``.
+    """
     if len(recording.time) < 2:
         raise RecordingError(f"{path}: the recording has {len(recording.time)} row(s); at least two are needed")
     steps = np.diff(recording.time)
@@ -273,10 +280,14 @@ def _check_writable(path: Path, recording: Recording) -> None:
             raise RecordingError(f"{path}: the {kind} names {', '.join(names)} are not all different")
         for name in names:
             _check_text(path, f"{kind} name", name, forbidden=",=")
+    for column, values in columns(recording):
+        if not np.isfinite(values).all():
+            row = int(np.argmin(np.isfinite(values)))
+            raise RecordingError(f"{path}: sample {row} of {column} is {values[row]}; only finite numbers are written")
     if recording.before is not None and not np.isfinite(recording.before).all():
         raise RecordingError(f"{path}: the command before the first row is {recording.before}; it must be finite")
     for name in recording.sites:
-        if not _is_site(f"{SITE}{name}"):
+        if not is_site(f"{SITE}{name}"):
             raise RecordingError(f"{path}: site {name!r} cannot be written; expected a site and an axis, such as tip.x")
         _check_text(path, "site", name, forbidden=",=")
     for key, value in recording.notes.items():

@@ -5,7 +5,8 @@ from __future__ import annotations
 import os
 import shutil
 import tempfile
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
+from collections.abc import Mapping as Table
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -13,8 +14,10 @@ from typing import Any
 import numpy as np
 
 from equimus_ctrl.errors import RecordingError, nearest
-from equimus_ctrl.recordings import checks, csvfile, upstream
+from equimus_ctrl.recordings import checks, csvfile, formats, logs, upstream
 from equimus_ctrl.recordings.checks import LEG, Limits
+from equimus_ctrl.recordings.logs import Wanted
+from equimus_ctrl.recordings.mapping import Mapping
 from equimus_ctrl.recordings.sheet import PathLike, header_of, open_sheet, reason
 from equimus_ctrl.types import Array, Recording
 
@@ -25,9 +28,12 @@ def read_set(
     joints: Sequence[str] | None = None,
     actuators: Sequence[str] | None = None,
     limits: Limits = LEG,
+    wanted: Wanted | None = logs.LEG,
+    mapping: Mapping | None = None,
 ) -> tuple[Recording, ...]:
     """Read the trials of files and folders; see ``read_with_files``."""
-    return tuple(trial for _, trial in read_with_files(paths, joints=joints, actuators=actuators, limits=limits))
+    found = read_with_files(paths, joints=joints, actuators=actuators, limits=limits, wanted=wanted, mapping=mapping)
+    return tuple(trial for _, trial in found)
 
 
 def read_with_files(
@@ -36,31 +42,39 @@ def read_with_files(
     joints: Sequence[str] | None = None,
     actuators: Sequence[str] | None = None,
     limits: Limits = LEG,
+    wanted: Wanted | None = logs.LEG,
+    mapping: Mapping | None = None,
 ) -> tuple[tuple[Path, Recording], ...]:
-    """Read the trials of files and folders, in the project's format or the leg's upstream ones, each with its file.
+    """Read the trials of files and folders, in any format that is known, each with its file.
 
-    Files come in the order given, those of a folder sorted by name; static poses in a folder are passed over. A name
-    that two trials share gets the folder's name in front: ``open_1_trial_00``. All trials have the same joints and
-    actuators, in the same order.
+    Files come in the order given, those of a folder sorted by name; a bag's or a dataset's folder counts as a file, and
+    static poses in a folder are passed over. A name that two trials share gets the folder's name in front:
+    ``open_1_trial_00``. All trials have the same joints and actuators, in the same order.
 
     Args:
         paths: a file, a folder, or several of them.
         joints: the joints wanted, in the order wanted; the first trial's where None.
         actuators: the actuators wanted, in the order wanted; the first trial's where None.
         limits: what may stand in a recording.
+        wanted: names and units of the robot, by which columns of other formats are found; None where nobody knows.
+        mapping: what the columns of other formats are; with one, CSV files are of any columns too.
 
     Raises:
+        NotAvailable: a library that reads a format is not installed.
+        ConfigError: the mapping does not fit the robot.
         RecordingError: a file cannot be read or is given twice; a folder has no recordings; a trial lacks a joint or
             actuator, or has others than the rest.
     """
     files = list_files(paths)
     found: list[tuple[Path, Recording]] = []
     for path in files:
-        sheet = open_sheet(path)
-        if upstream.kind(sheet.header):
-            trials = upstream.recordings(sheet, limits)
-        else:
-            trials = (csvfile.from_sheet(sheet, limits),)
+        trials: Sequence[Recording] | None = formats.recordings_of(path, limits, wanted, mapping)
+        if trials is None:
+            sheet = open_sheet(path)
+            if upstream.kind(sheet.header):
+                trials = upstream.recordings(sheet, limits)
+            else:
+                trials = (csvfile.from_sheet(sheet, limits),)
         found += [(path, trial) for trial in trials]
     for path, trial in found:
         checks.warn(checks.plausibility_warnings(str(path), trial, limits))
@@ -75,16 +89,16 @@ def read_with_files(
                     f"{path}: its {kind} are {', '.join(names)}, those of {first_path} are {', '.join(expected)}; "
                     "all trials of a set have the same"
                 )
-    wanted = (
+    chosen = (
         tuple(first.joints if joints is None else joints),
         tuple(first.actuators if actuators is None else actuators),
     )
     arranged = tuple(
-        (path, _arranged(path, trial, name, *wanted, limits.missing))
+        (path, _arranged(path, trial, name, *chosen, limits.missing))
         for (path, trial), name in zip(found, _unique_names(found), strict=True)
     )
     if not limits.pressures:  # a model asks for its own; of a leg somebody picks
-        checks.warn(_unused(first_path, first, *wanted))
+        checks.warn(_unused(first_path, first, *chosen))
     return arranged
 
 
@@ -96,7 +110,10 @@ def _unused(path: Path, trial: Recording, joints: Sequence[str], actuators: Sequ
 
 
 def list_files(paths: PathLike | Iterable[PathLike]) -> tuple[Path, ...]:
-    """The recording files that ``paths`` stand for: files as given, folders by their CSV files sorted by name.
+    """The recording files that ``paths`` stand for: files as given, folders by what is in them, sorted by name.
+
+    A bag's folder and a LeRobot dataset's stand for themselves. Of others the CSV files count, and where there are none
+    the files of other formats.
 
     Raises:
         RecordingError: nothing is given, something is given twice or does not exist, or a folder has no recordings.
@@ -104,7 +121,7 @@ def list_files(paths: PathLike | Iterable[PathLike]) -> tuple[Path, ...]:
     given = [Path(paths)] if isinstance(paths, str | os.PathLike) else [Path(path) for path in paths]
     files: list[Path] = []
     for path in given:
-        files += _folder_files(path) if path.is_dir() else [path]
+        files += _folder_files(path) if path.is_dir() and formats.format_of(path) is None else [path]
     if not files:
         raise RecordingError("no recordings are given; at least one file or folder belongs here")
     seen: set[Path] = set()
@@ -123,6 +140,8 @@ def _folder_files(folder: Path) -> list[Path]:
     tables = [path for path in entries if path.suffix.lower() == ".csv" and not path.name.startswith(".")]
     files = [path for path in tables if path.is_file()]
     trials = [path for path in files if upstream.kind(header_of(path)) != upstream.STATIC_POSES]
+    if not files:
+        trials = [path for path in entries if not path.name.startswith(".") and formats.format_of(path) is not None]
     if not trials:
         what = "only static poses" if files else "no CSV files"
         raise RecordingError(
@@ -202,10 +221,10 @@ class Summary:
     rate_hz: float
     jitter_s: float
     interval_s: tuple[float, float]
-    command_pa: Mapping[str, tuple[float, float]]
-    position_rad: Mapping[str, tuple[float, float]]
-    before_pa: Mapping[str, float] | None
-    notes: Mapping[str, str]
+    command_pa: Table[str, tuple[float, float]]
+    position_rad: Table[str, tuple[float, float]]
+    before_pa: Table[str, float] | None
+    notes: Table[str, str]
 
     def as_json(self) -> dict[str, Any]:
         """The same as a dictionary that ``json`` takes."""
@@ -253,7 +272,23 @@ def convert(
     Raises:
         RecordingError: a source is wrong, a file is there already, or the folder cannot be written.
     """
-    recordings = read_set(sources, limits=limits)
+    return write_set(read_set(sources, limits=limits), output, force=force)
+
+
+def write_set(recordings: Sequence[Recording], output: PathLike, *, force: bool = False) -> tuple[Path, ...]:
+    """Write each trial to ``output/<trial>.csv`` in the project's format: all of them or none.
+
+    Args:
+        recordings: the trials, each with a name of its own.
+        output: folder to write into; made where it does not exist.
+        force: replace files that are there already.
+
+    Returns:
+        The files written.
+
+    Raises:
+        RecordingError: a file is there already, or the folder cannot be written.
+    """
     output = Path(output)
     targets = [output / f"{recording.name}.csv" for recording in recordings]
     taken = [target for target in targets if target.exists()]

@@ -12,6 +12,7 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Protocol
 
 import numpy as np
 
@@ -22,6 +23,34 @@ from equimus_ctrl.types import Array
 PathLike = str | os.PathLike[str]
 LONGEST = 40
 """Characters of a cell that a message shows."""
+
+
+class Tabular(Protocol):
+    """Columns of numbers with the place of whatever is wrong in them: a CSV file's, or those of any other log."""
+
+    @property
+    def path(self) -> Path: ...
+
+    @property
+    def name(self) -> str: ...
+
+    @property
+    def notes(self) -> tuple[tuple[int, str], ...]: ...
+
+    @property
+    def header(self) -> tuple[str, ...]: ...
+
+    @property
+    def line_numbers(self) -> Sequence[int]: ...
+
+    def error(self, row: int, column: str, problem: str) -> RecordingError:
+        """For row ``row`` (from 0 on) of a column."""
+
+    def header_error(self, problem: str) -> RecordingError:
+        """For something wrong in the header."""
+
+    def numbers(self, columns: Sequence[str]) -> Array:
+        """(n, len(columns)) finite numbers."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,6 +72,11 @@ class Sheet:
     header_line: int
     lines: Sequence[str]
     line_numbers: Sequence[int]
+
+    @property
+    def name(self) -> str:
+        """Of the trial."""
+        return self.path.stem
 
     def error(self, row: int, column: str, problem: str) -> RecordingError:
         """The error for data row ``row`` (0-based) of ``column``; its message has the line number in the file."""

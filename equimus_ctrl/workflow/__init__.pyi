@@ -21,9 +21,15 @@ from .identify import (
     sensitivity_of as sensitivity_of,
     simulator_of as simulator_of,
 )
+from .logs import (
+    export_recordings as export_recordings,
+    read_recording as read_recording,
+    recorded_models as recorded_models,
+)
 from .mjcf import (
     FreeParameterFile as FreeParameterFile,
     load_mjcf as load_mjcf,
+    mapping_of as mapping_of,
     offer as offer,
     parameter_rows as parameter_rows,
     read_free as read_free,

@@ -104,9 +104,9 @@ def _read(recordings: Some, model: Model, options: DiagnoseOptions, budget: Budg
     if options.shoot is not None and model.robot.traits.held_in_place:
         raise ConfigError("multiple shooting is for MJCF robots; a leg's trials are fitted whole")
     if options.by is None:
-        trials, group_of = gather(recordings, model), dict[str, str]()
+        trials, group_of = gather(recordings, model, options.mapping), dict[str, str]()
     else:
-        trials, group_of = by_folder(recordings, model)
+        trials, group_of = by_folder(recordings, model, options.mapping)
     trials = marked(model, choose(trials, options.select), options)
     groups = [group_of[trial.name] for trial in trials] if group_of else []
     if groups:

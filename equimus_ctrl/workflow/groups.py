@@ -10,6 +10,7 @@ from equimus_ctrl.errors import ConfigError
 from equimus_ctrl.identification.segments import Segment
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.options import DiagnoseOptions
+from equimus_ctrl.recordings import Mapping
 from equimus_ctrl.types import Recording
 from equimus_ctrl.workflow.mjcf import read_trials_with_files
 
@@ -18,7 +19,9 @@ LEAST_TRIALS = 2
 
 
 def by_folder(
-    recordings: Path | str | Iterable[Path | str] | Sequence[Recording], model: Model
+    recordings: Path | str | Iterable[Path | str] | Sequence[Recording],
+    model: Model,
+    mapping: Mapping | Path | str | None = None,
 ) -> tuple[list[Recording], dict[str, str]]:
     """The trials of files and folders, and by the name of each the folder that it is in.
 
@@ -27,6 +30,7 @@ def by_folder(
     Args:
         recordings: files or folders.
         model: whose joints and actuators are wanted.
+        mapping: see ``scores.gather``.
 
     Raises:
         RecordingError: where one cannot be read.
@@ -36,7 +40,7 @@ def by_folder(
     files = [Path(item) for item in given if isinstance(item, Path | str)]
     if len(files) < len(given):
         raise ConfigError("trials are grouped by folder, but some were not given as files; expected files or folders")
-    found = read_trials_with_files(files, model.robot)
+    found = read_trials_with_files(files, model.robot, mapping)
     label = _labels([path.resolve().parent for path, _ in found])
     if len(label) < 2:
         raise ConfigError(

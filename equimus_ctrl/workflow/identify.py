@@ -154,10 +154,10 @@ def identify_recordings(
     """
     model = model or nominal_model()
     options = with_file(with_changes(IdentifyOptions, options, changes), model)
-    trials = marked(model, choose(gather(recordings, model), options.select), options)
+    trials = marked(model, choose(gather(recordings, model, options.mapping), options.select), options)
     simulator = simulator_of(options.engine, options.dt, options.threads, model, trials)
     heldout = _each_of(options.heldout)
-    others = marked(model, _unseen(gather(heldout, model), trials), options) if heldout else []
+    others = marked(model, _unseen(gather(heldout, model, options.mapping), trials), options) if heldout else []
     parameters = free_parameters(model, options.free, options.bounds, options.fix)
     in_place = model.robot.traits.held_in_place
     window, shoot, folds, settings = options.window, options.shoot, options.folds, options.settings
@@ -360,10 +360,10 @@ def identify_files(
             )
         still = identify_poses(_stacked(poses), model, replace(options, heldout=judging_poses), progress=progress)
         return Identification(model, still, None)
-    trials = choose(gather(files), options.select)
+    trials = choose(gather(files, mapping=options.mapping), options.select)
     for trial in trials:
         check_columns(model, trial)
-    others = _unseen(gather(judging), trials) if judging else ()
+    others = _unseen(gather(judging, mapping=options.mapping), trials) if judging else ()
     if poses:
         judging_poses = [_unseen_poses(p, _stacked(poses)) for p in judging_poses]
     chosen = free_parameters(model, options.free, options.bounds, options.fix)
@@ -437,7 +437,7 @@ def sensitivity_of(
     """
     model = model or nominal_model()
     options = with_changes(SensitivityOptions, options, changes)
-    trials = choose(gather(recordings, model), options.select)
+    trials = choose(gather(recordings, model, options.mapping), options.select)
     simulator = simulator_of(options.engine, options.dt, options.threads, model, trials)
     segments = cut(model, trials, window=options.window)
     shares = SHARES if options.shares is None else options.shares

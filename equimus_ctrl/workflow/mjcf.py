@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping as Table
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -14,7 +15,7 @@ from equimus_ctrl.engines.supposed import with_supposed
 from equimus_ctrl.errors import ConfigError, ModelError, unknown_name
 from equimus_ctrl.identification.parameters import default_bounds, default_names, matching, unit_of
 from equimus_ctrl.models.model import Model
-from equimus_ctrl.recordings import Limits
+from equimus_ctrl.recordings import Limits, Mapping, Wanted, read_mapping
 from equimus_ctrl.recordings.sets import read_with_files
 from equimus_ctrl.recordings.smoothing import smoothed
 from equimus_ctrl.robots.base import Robot
@@ -50,20 +51,51 @@ def load_mjcf(path: Path, source: str | None = None, edits: Edits | None = None)
         raise ModelError(f"{path}: {str(error).removeprefix(f'{name}: ')}") from None
 
 
-def read_trials(files: Sequence[Path], robot: Robot) -> tuple[Recording, ...]:
+def read_trials(
+    files: Sequence[Path], robot: Robot, mapping: Mapping | Path | str | None = None
+) -> tuple[Recording, ...]:
     """Trials of a robot, see ``read_trials_with_files``."""
-    return tuple(trial for _, trial in read_trials_with_files(files, robot))
+    return tuple(trial for _, trial in read_trials_with_files(files, robot, mapping))
 
 
-def read_trials_with_files(files: Sequence[Path], robot: Robot) -> tuple[tuple[Path, Recording], ...]:
-    """Trials of a robot, each with the file that it was read from.
+def read_trials_with_files(
+    files: Sequence[Path], robot: Robot, mapping: Mapping | Path | str | None = None
+) -> tuple[tuple[Path, Recording], ...]:
+    """Trials of a robot, each with the file that it was read from, of any format that is known.
 
     These are pressures within a leg's limits, or any commands of its joints and actuators in its order.
 
+    Args:
+        files: they, or folders.
+        robot: by whose names columns are found.
+        mapping: what the columns of other formats than the project's are, or its file.
+
     Raises:
-        RecordingError: where a file cannot be read or lacks one of them.
+        EquimusError: where a file cannot be read or lacks one of them.
     """
-    return tuple((path, as_modelled(trial, robot)) for path, trial in _read(files, robot))
+    return tuple((path, as_modelled(trial, robot)) for path, trial in _read(files, robot, mapping_of(mapping)))
+
+
+def mapping_of(given: Mapping | Path | str | None) -> Mapping | None:
+    """A mapping, or the one in a file.
+
+    Raises:
+        ConfigError: where the file cannot be read.
+    """
+    return read_mapping(given) if isinstance(given, Path | str) else given
+
+
+def wanted_of(robot: Robot) -> Wanted:
+    """What the columns of a robot's recordings are called, and their units."""
+    given, driven = robot.prescribed_columns, [robot.driven_joints(name) for name in robot.actuator_names]
+    return Wanted(
+        (*robot.joint_names, *given),
+        robot.actuator_names,
+        (*robot.joint_units, *("" for _ in given)),
+        robot.command_units,
+        robot.goals,
+        tuple(next(iter(joints)) if len(joints) == 1 else "" for joints in driven),
+    )
 
 
 def suited(model: Model, files: Sequence[Path]) -> Model:
@@ -79,15 +111,18 @@ def suited(model: Model, files: Sequence[Path]) -> Model:
     return replace(model, robot=model.robot.suited(read))
 
 
-def _read(files: Sequence[Path], robot: Robot) -> tuple[tuple[Path, Recording], ...]:
+def _read(files: Sequence[Path], robot: Robot, mapping: Mapping | None = None) -> tuple[tuple[Path, Recording], ...]:
     """Trials as they were recorded, each with its file."""
+    wanted = wanted_of(robot)
     if robot.traits.commands_are_pressures:
-        return read_with_files(files)
+        return read_with_files(files, wanted=wanted, mapping=mapping)
     joints, actuators, given = robot.joint_names, robot.actuator_names, robot.prescribed_columns
     columns = [*joints, *(name for name in robot.prescribed_names if name in given)]
     hinges = [name for name in columns if not robot.slides(name)]
     limits = Limits.of_mjcf(joints, actuators, hinges, UNRECORDED, given)
-    return read_with_files(files, joints=(*joints, *given), actuators=actuators, limits=limits)
+    return read_with_files(
+        files, joints=(*joints, *given), actuators=actuators, limits=limits, wanted=wanted, mapping=mapping
+    )
 
 
 def as_modelled(trial: Recording, robot: Robot) -> Recording:
@@ -134,10 +169,10 @@ class FreeParameterFile:
     """
 
     names: tuple[str, ...] | None = None
-    bounds: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    bounds: Table[str, tuple[float, float]] = field(default_factory=dict)
 
     def with_more(
-        self, free: Sequence[str] | None, bounds: Mapping[str, tuple[float, float]] | None
+        self, free: Sequence[str] | None, bounds: Table[str, tuple[float, float]] | None
     ) -> tuple[list[str] | None, dict[str, tuple[float, float]]]:
         """These names and more; of bounds those that are given here win."""
         names = None if self.names is None and free is None else [*(self.names or ()), *(free or ())]
@@ -157,13 +192,13 @@ def read_free(path: Path, model: Model) -> FreeParameterFile:
     if data.get("format", FORMAT) != FORMAT:
         raise ConfigError(f"{path}: format is {data['format']!r}, expected {FORMAT!r}")
     table = data.get("free")
-    if not isinstance(table, Mapping) or not table:
+    if not isinstance(table, Table) or not table:
         raise ConfigError(f'{path}: there is no [free] table of names, such as "arm.mass" = [0.4, 0.8]')
     names: list[str] = []
     bounds: dict[str, tuple[float, float]] = {}
     kept: set[str] = set()
     for name, value in table.items():
-        if isinstance(value, Mapping):
+        if isinstance(value, Table):
             raise ConfigError(f'{path}: free: put a dotted name in quotes, such as "{name}.…" = true')
         try:
             found = matching(model, [name])

@@ -20,10 +20,10 @@ from equimus_ctrl.models.augmented import unknown_starts
 from equimus_ctrl.models.model import Model, nominal_model
 from equimus_ctrl.options import ScoreOptions, with_changes
 from equimus_ctrl.options.score import StartName
-from equimus_ctrl.recordings import read_set
+from equimus_ctrl.recordings import Mapping, read_set
 from equimus_ctrl.scenarios.scoring import on_grid
 from equimus_ctrl.types import Array, Recording
-from equimus_ctrl.workflow.mjcf import as_modelled, read_trials
+from equimus_ctrl.workflow.mjcf import as_modelled, mapping_of, read_trials
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,22 +82,26 @@ class RecordingsScore:
 
 
 def gather(
-    recordings: Path | str | Iterable[Path | str] | Sequence[Recording], model: Model | None = None
+    recordings: Path | str | Iterable[Path | str] | Sequence[Recording],
+    model: Model | None = None,
+    mapping: Mapping | Path | str | None = None,
 ) -> list[Recording]:
     """The trials that files, folders or trials themselves mean.
 
     Args:
         recordings: they.
         model: of what; its joints and actuators are those wanted.
+        mapping: what the columns of files of other formats than the project's are, or its file.
 
     Raises:
-        RecordingError: where one cannot be read.
+        EquimusError: where one cannot be read.
     """
     given = [recordings] if isinstance(recordings, Path | str) else list(recordings)
     files = [Path(item) for item in given if isinstance(item, Path | str)]
     trials = [item for item in given if isinstance(item, Recording)]
     if files or not trials:
-        trials += read_set(files) if model is None else read_trials(files, model.robot)
+        own = mapping_of(mapping)
+        trials += read_set(files, mapping=own) if model is None else read_trials(files, model.robot, own)
     return trials if model is None else [as_modelled(trial, model.robot) for trial in trials]
 
 
@@ -124,7 +128,7 @@ def score_recordings(
     """
     model = model or nominal_model()
     options = with_changes(ScoreOptions, options, changes)
-    trials = gather(recordings, model)
+    trials = gather(recordings, model, options.mapping)
     for trial in trials:
         check_columns(model, trial)
     scores = []

@@ -3,19 +3,17 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
-import numpy as np
-
-from equimus_ctrl.errors import NotAvailable, RecordingError
+from equimus_ctrl.errors import RecordingError
 from equimus_ctrl.models.model import Model
-from equimus_ctrl.plants.hardware.clock import ClockMap
-from equimus_ctrl.plants.hardware.interface import interface_of
-from equimus_ctrl.plants.hardware.messages import NANO
+from equimus_ctrl.plants.hardware.interface import Interface, interface_of
 from equimus_ctrl.plants.hardware.settings import HardwareSettings
-from equimus_ctrl.types import Array, Recording
-
-TYPES = ("sensor_msgs/msg/JointState", "std_msgs/msg/Float64MultiArray")
+from equimus_ctrl.recordings import Limits
+from equimus_ctrl.recordings.assemble import recording_of
+from equimus_ctrl.recordings.bags import ARRAY, STATE
+from equimus_ctrl.recordings.bags import read_bag as read_log
+from equimus_ctrl.recordings.mapping import Clock, Mapping, Source
+from equimus_ctrl.types import Recording
 
 
 def read_bag(path: Path, model: Model, settings: HardwareSettings | None = None) -> Recording:
@@ -34,99 +32,29 @@ def read_bag(path: Path, model: Model, settings: HardwareSettings | None = None)
         NotAvailable: where the rosbags library is not installed.
         RecordingError: where the bag cannot be read, or lacks a topic, a joint or enough messages.
     """
-    try:
-        from rosbags.highlevel import AnyReader, AnyReaderError
-        from rosbags.rosbag2 import ReaderError
-        from rosbags.typesys import Stores, get_typestore
-    except ImportError:
-        raise NotAvailable(
-            "reading bags needs the rosbags library, which is not installed; get it with: pip install "
-            "'equimus-ctrl[hardware]'"
-        ) from None
-    settings = settings or HardwareSettings()
-    own = interface_of(settings, model.robot, limited=False)
-    joints, channels, wire = own.calibrations, own.channels, own.wire
-    wanted = dict(zip((wire.states, wire.commands), TYPES, strict=True))
-    found: dict[str, list[tuple[float, float, list[float]]]] = {topic: [] for topic in wanted}
-    try:
-        with AnyReader([path], default_typestore=get_typestore(Stores.ROS2_HUMBLE)) as reader:
-            chosen = [connection for connection in reader.connections if connection.topic in wanted]
-            for connection in chosen:
-                if connection.msgtype != wanted[connection.topic]:
-                    raise RecordingError(
-                        f"{path}: {connection.topic} holds {connection.msgtype}, expected {wanted[connection.topic]}"
-                    )
-            for topic in wanted:
-                if not any(connection.topic == topic for connection in chosen):
-                    known = ", ".join(sorted(connection.topic for connection in reader.connections)) or "none"
-                    raise RecordingError(f"{path}: there is no topic {topic} (known: {known})")
-            begun = reader.start_time
-            for connection, received, raw in reader.messages(connections=chosen):
-                message: Any = reader.deserialize(raw, connection.msgtype)
-                at = (received - begun) / NANO
-                if connection.topic == wire.states:
-                    names = list(message.name)
-                    for joint in joints:
-                        if joint.name not in names or names.index(joint.name) >= len(message.position):
-                            raise RecordingError(
-                                f"{path}: {connection.topic} at {at:.3f} s has joints {', '.join(names) or 'none'}, "
-                                f"expected {', '.join(c.name for c in joints)} with a position each"
-                            )
-                    values = [j.scale * (message.position[names.index(j.name)] - j.zero) for j in joints]
-                    stamp = message.header.stamp.sec + message.header.stamp.nanosec / NANO
-                else:
-                    if len(message.data) != len(channels):
-                        raise RecordingError(
-                            f"{path}: {connection.topic} at {at:.3f} s has {len(message.data)} numbers, expected "
-                            f"{len(channels)}"
-                        )
-                    values, stamp = own.command(message.data).tolist(), at
-                if not np.all(np.isfinite(values)):
-                    raise RecordingError(f"{path}: {connection.topic} at {at:.3f} s is {values}, expected numbers")
-                found[connection.topic].append((stamp, at, [float(value) for value in values]))
-    except (AnyReaderError, ReaderError, OSError) as error:
-        raise RecordingError(f"{path}: is no bag that can be read ({error})") from None
-    measured, commanded = found[wire.states], found[wire.commands]
-    if len(measured) < 2 or not commanded:
-        raise RecordingError(
-            f"{path}: holds {len(measured)} measurements and {len(commanded)} commands, expected at least 2 and 1"
-        )
-    times, angles = _on_one_clock(measured)
-    return _together(path, model, times, angles, commanded)
-
-
-def _on_one_clock(measured: list[tuple[float, float, list[float]]]) -> tuple[Array, Array]:
-    """(n,) ascending times by the bag's clock [s] and (n, nj) angles; duplicates and stragglers are dropped."""
-    clock = ClockMap.of(*measured[0][:2])
-    last = -np.inf
-    times: list[float] = []
-    angles: list[list[float]] = []
-    for stamp, at, values in measured:
-        clock = clock.seen(stamp, at)
-        if stamp > last and (not times or clock.local(stamp) > times[-1]):
-            times.append(clock.local(stamp))
-            angles.append(values)
-            last = stamp
-    return np.array(times), np.array(angles)
-
-
-def _together(
-    path: Path, model: Model, times: Array, angles: Array, commanded: list[tuple[float, float, list[float]]]
-) -> Recording:
     robot = model.robot
-    sent = np.array([at for _, at, _ in commanded])
-    pressures = np.array([values for _, _, values in commanded])
-    begin = max(times[0], sent[0])
-    changes = np.flatnonzero(np.r_[True, np.any(np.diff(pressures, axis=0) != 0, axis=1)])
-    rows = np.union1d(times, sent[changes])
-    rows = rows[(rows >= begin) & (rows <= times[-1])]
-    if len(rows) < 2:
-        raise RecordingError(f"{path}: no two measurements lie after the first command, expected some")
-    inside = np.searchsorted(sent, rows, side="right") - 1
-    position = np.stack([np.interp(rows, times, column) for column in angles.T], axis=1)
-    earlier = np.flatnonzero(sent < begin)
-    before = pressures[earlier[-1]] if len(earlier) else pressures[0]
-    return Recording(
-        path.stem, rows - rows[0], pressures[inside], position, robot.actuator_names, robot.joint_names,
-        before=before, notes={"source": path.name},
-    )  # fmt: skip
+    own = interface_of(settings or HardwareSettings(), robot, limited=False)
+    (log,) = read_log(path)
+    for topic, kind in ((own.wire.states, STATE), (own.wire.commands, ARRAY)):
+        if (there := log.topic(topic).kind) != kind:
+            raise RecordingError(f"{path}: {topic} holds {there}, expected {kind}")
+    count = sum(column.startswith("data[") for column in log.topic(own.wire.commands).columns)
+    if count != len(own.channels):
+        raise RecordingError(f"{path}: {own.wire.commands} has {count} numbers, expected {len(own.channels)}")
+    limits = Limits.of_mjcf(robot.joint_names, robot.actuator_names)
+    return recording_of(log, limits, mapping=mapping_of(own, robot.joint_names, robot.actuator_names))
+
+
+def mapping_of(own: Interface, joints: tuple[str, ...], actuators: tuple[str, ...]) -> Mapping:
+    """What hardware settings say of a bag's columns: position = scale · (number − zero), command = unit · number."""
+    columns = {
+        f"pos.{joint}": Source(
+            f"position.{c.name}", own.wire.states, scale=abs(c.scale), sign=1 if c.scale > 0 else -1, offset=c.zero
+        )
+        for joint, c in zip(joints, own.calibrations, strict=True)
+    }
+    columns |= {
+        f"cmd.{name}": Source(f"data[{c.index}]", own.wire.commands, scale=abs(c.unit), sign=1 if c.unit > 0 else -1)
+        for name, c in zip(actuators, own.channels, strict=True)
+    }
+    return Mapping(columns, Clock(rows="all"), where="hardware settings")
