@@ -156,13 +156,15 @@ class _Guess:
     kept: tuple[int, ...]
 
 
-def screen(data: Data, fitted: Fitted, pool: Sequence[Candidate]) -> list[Screened]:
+def screen(data: Data, fitted: Fitted, pool: Sequence[Candidate], again: bool = True) -> list[Screened]:
     """Every candidate of a pool added to a fitted hypothesis, where that is possible, to first order.
 
     Args:
         data: what was measured.
         fitted: the hypothesis that they are added to.
         pool: the candidates.
+        again: whether guesses that the parameters nearly cancel are looked at with these moved, for what they gain;
+            strengths do not depend on it.
 
     Returns:
         One for each that can be added, in the pool's order.
@@ -175,7 +177,7 @@ def screen(data: Data, fitted: Fitted, pool: Sequence[Candidate]) -> list[Screen
         return []
     responses = _responses(data, fitted, guesses)
     evaluated = _evaluated(responses)
-    replacements = _rescreened_at_changed_parameters(responses, evaluated)
+    replacements = _rescreened_at_changed_parameters(responses, evaluated) if again else {}
     screened = []
     for candidate in pool:
         if candidate in evaluated:
