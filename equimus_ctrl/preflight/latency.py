@@ -1,13 +1,15 @@
 """How late a joint moves after a step of a command, from recordings alone: bounds, and no model.
 
-Behind a dead time d a joint at rest begins to move as c·(t − d)ⁿ, n = 1 where the command is a speed, 2 where it is a
-force on a mass, 3 and 4 where a lag or an elastic drive comes between. Nobody knows n, and motion shows late the more the
-higher it is. So for each n the d is found at which
+The dead time is at most what passes until motion is first seen beyond the noise: that is the upper bound, whatever the
+robot. How much less it can be depends on how motion begins. Behind a dead time d a joint at rest moves as c·(t − d)ⁿ,
+n = 1 where the command is a speed, 2 where it is a force on a mass, 3 and 4 where a lag or an elastic drive comes between;
+and it shows the later the higher n is. For each n the d are found whose
 
     χ²(d) = min over c, a   Σ (x − a − c·max(t − d, 0)ⁿ)²/σ²
 
-is least, in a window behind the step that ends where motion stands out of the noise by ``CLEAR``, all steps of an actuator
-together. All d within ``FALL`` of the least χ² of any n are possible: what is told is the lowest and the highest of them.
+is within ``FALL`` of the least, all steps of an actuator together, in a window behind the step that ends where motion
+stands out of the noise by ``CLEAR``. The lower bound is the lowest of all n: which n it is nobody knows, and damping makes
+high ones look like low ones that begin later.
 """
 
 from __future__ import annotations
@@ -23,7 +25,7 @@ from equimus_ctrl.preflight.limits import LIMITS, CheckLimits
 from equimus_ctrl.preflight.signals import Signals
 from equimus_ctrl.types import Array, Recording
 
-REST_BEFORE = 0.1
+REST_BEFORE = 0.25
 """A joint rests, and no command changes, for so long before a step that counts [s]."""
 LEAST_BEFORE = 6
 """Rows of that at least."""
@@ -73,10 +75,12 @@ class _Onset:
     Attributes:
         since: (m,) time since the step [s].
         moved: (m,) position in standard deviations.
+        seen: when motion is first beyond the noise [s].
     """
 
     since: Array
     moved: Array
+    seen: float
 
 
 def latencies(
@@ -148,33 +152,41 @@ def _onset(
 ) -> _Onset | None:
     """What was measured of a joint from its rest to clear motion; None where it moves too little until an end."""
     last = int(np.searchsorted(time, end, side="right"))
-    # The command is recorded when it was in force, so what was measured in its row is still from before it.
+    # Slow noise, and what is left of an earlier motion, show in the rest before.
+    noise = max(noise, float(x[first:row].std()))
     behind = (x[row:last] - x[first:row].mean()) / noise
-    # Of so many instants one is as far out by chance with the level alone.
+    # Of so many instants one is as far out by chance with the level alone; what moves is so in the next row too.
     level = -float(ndtri(limits.significance / max(2 * len(behind), 1)))
-    clear = np.flatnonzero(np.abs(behind) > max(CLEAR, level))
+    stays = np.sign(behind[1:]) == np.sign(behind[:-1])
+    beyond, clear = (
+        np.flatnonzero(stays & (np.minimum(np.abs(behind[1:]), np.abs(behind[:-1])) > size))
+        for size in (level, max(CLEAR, level))
+    )
     if not len(clear):
         return None
-    stop = row + max(int(clear[0]) + 1, LEAST_BEHIND)
+    stop = row + max(int(clear[0]) + 2, LEAST_BEHIND)
     if stop > last:
         return None
-    return _Onset(time[first:stop] - time[row], (x[first:stop] - x[first:row].mean()) / noise)
+    moved = (x[first:stop] - x[first:row].mean()) / noise
+    return _Onset(time[first:stop] - time[row], moved, float(time[row + beyond[0]] - time[row]))
 
 
 def _latency(actuator: str, onsets: Sequence[_Onset]) -> Latency:
     """The bounds that all steps together leave, see the module's law."""
     if not onsets:
         return Latency(actuator, 0.0, math.inf, 0)
-    longest = max(float(onset.since[-1]) for onset in onsets)
-    delays = np.linspace(0.0, longest, GRID)
-    costs = np.array([np.sum([_costs(onset, delays, n) for onset in onsets], axis=0) for n in ORDERS])
-    # Where no power describes the motion, what is left over counts as noise.
+    high = min(onset.seen for onset in onsets)
+    delays = np.linspace(0.0, high, GRID)
     samples = sum(len(onset.since) for onset in onsets)
-    spread = max(float(costs.min()) / max(samples - 2 * len(onsets) - 1, 1), 1.0)
-    possible = np.any(costs <= costs.min() + FALL * spread, axis=0)
+    freedom = max(samples - 2 * len(onsets) - 1, 1)
+    low = high
+    for order in ORDERS:
+        costs = np.sum([_costs(onset, delays, order) for onset in onsets], axis=0)
+        # Where the power does not describe the motion, what is left over counts as noise.
+        spread = max(float(costs.min()) / freedom, 1.0)
+        low = min(low, float(delays[costs <= costs.min() + FALL * spread][0]))
     # A delay is known no better than rows are apart.
     apart = float(np.median(np.concatenate([np.diff(onset.since) for onset in onsets])))
-    low, high = float(delays[possible].min()), float(delays[possible].max())
     return Latency(actuator, max(min(low, high - apart), 0.0), high, len(onsets))
 
 

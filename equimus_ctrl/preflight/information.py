@@ -1,0 +1,257 @@
+"""Which parameters recordings determine, and which effects they could show at which size, before anything is fitted.
+
+With J the derivatives of the nominal model's predictions by its parameters θ, whitened by the noise of the recordings,
+the free initial states projected out, no unbiased estimate has a smaller covariance than (JᵀJ)⁻¹ (Cramér, 1946; Rao,
+1945). An effect of size a changes predictions by c(a); with P the projection off J's columns, χ² = cᵀPc is what it would
+gain in −2Δln L in the mean. Where that is the acceptance threshold of ``diagnose``, it would be accepted every other time.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from threadpoolctl import threadpool_limits
+
+from equimus_ctrl.diagnosis.budget import Budget, BudgetSpent
+from equimus_ctrl.diagnosis.candidates import candidates
+from equimus_ctrl.diagnosis.diagnose import DiagnosisSettings, with_default_engine
+from equimus_ctrl.diagnosis.findings import smallest_sizes
+from equimus_ctrl.diagnosis.fitting import Data, Fitted
+from equimus_ctrl.diagnosis.holdout import Split
+from equimus_ctrl.diagnosis.hypothesis import Candidate
+from equimus_ctrl.diagnosis.place_excitation import excitation_of
+from equimus_ctrl.diagnosis.results import Detectable
+from equimus_ctrl.diagnosis.scoring import Scoring
+from equimus_ctrl.diagnosis.screening import Screened, screen
+from equimus_ctrl.effects.base import REGISTRY
+from equimus_ctrl.engines.base import Engine
+from equimus_ctrl.identification.noise import JointNoise
+from equimus_ctrl.identification.parameters import FreeParameters
+from equimus_ctrl.identification.segments import Segment
+from equimus_ctrl.identification.uncertainty import TradeOff, identifiable
+from equimus_ctrl.identification.whitened_fit import whiten_fit
+from equimus_ctrl.types import Array
+
+SHARE_OF_BUDGET = 0.6
+"""Of what is left of the time so much is planned to be used: how long simulations take differs."""
+LEAST_SEGMENTS = 2
+"""Shooting intervals that are simulated, however little time there is."""
+
+
+@dataclass(frozen=True)
+class ParameterInformation:
+    """What recordings could say of one parameter.
+
+    Attributes:
+        name: of it.
+        unit: SI.
+        value: of the nominal model.
+        deviation: least standard deviation of an estimate, all others estimated too; inf where it has no effect.
+        alone: the same if all others were known.
+        range: between its bounds.
+    """
+
+    name: str
+    unit: str
+    value: float
+    deviation: float
+    alone: float
+    range: float
+
+
+@dataclass(frozen=True)
+class EffectInformation:
+    """What recordings could show of one effect at one place.
+
+    Attributes:
+        smallest: the smallest detectable size.
+        scale: what that compares with in these recordings: the largest force, the travel [the same unit].
+        possible: whether an effect can be that large.
+    """
+
+    smallest: Detectable
+    scale: float
+    possible: bool
+
+    @property
+    def share(self) -> float:
+        """The size as a share of what it compares with."""
+        return self.smallest.size / self.scale
+
+
+@dataclass(frozen=True, eq=False)
+class Information:
+    """What recordings could say of a model and of what it lacks.
+
+    Attributes:
+        parameters: the free ones.
+        trade_offs: practically unidentifiable combinations, strongest first.
+        effects: by name and place.
+        not_done: effects that the time did not do for.
+        engine: that simulated.
+        intervals: shooting intervals simulated, and how many a diagnosis fits.
+        far: the nominal model's error over the noise, of the worst joint.
+    """
+
+    parameters: tuple[ParameterInformation, ...]
+    trade_offs: tuple[TradeOff, ...]
+    effects: tuple[EffectInformation, ...]
+    not_done: tuple[str, ...]
+    engine: Engine
+    intervals: tuple[int, int]
+    far: float
+
+
+def information(
+    free: FreeParameters,
+    split: Split,
+    noise: Array,
+    settings: DiagnosisSettings,
+    budget: Budget,
+    progress: Callable[[str, float], None] = lambda stage, share: None,
+) -> Information:
+    """What a diagnosis of some recordings could find, by linear response about the nominal model.
+
+    Args:
+        free: the parameters to estimate.
+        split: trials, of which those that a diagnosis fits are looked at.
+        noise: (nj,) of the joints' measurements [rad or m].
+        settings: of the diagnosis.
+        budget: after which what is known by then is given, but for the parameters.
+        progress: called with the stage and the share done.
+
+    Raises:
+        SimulationDiverged: where the nominal model diverges on every trial.
+    """
+    with threadpool_limits(limits=1, user_api="blas"):  # sums in another order would change the last bits
+        data = replace(with_default_engine(free, split, settings), thresholds=settings.thresholds)
+        whole = list(data.segments)
+        pool = candidates(free.model, whole, {n: e for n, e in REGISTRY.items() if n not in settings.exclude})
+        single = [c for c in pool if len(c.locations) == 1 and not c.each]
+        chosen = _in_time(data, whole, single, budget)
+        progress("parameters", 0.1)
+        data = replace(data, segments=chosen)
+        seen = _nominal(data, noise)
+        share = sum(s.outputs.size for s in chosen) / sum(s.outputs.size for s in whole)
+        parameters, trade_offs = _parameters(data, seen, share)
+        scoring = Scoring(replace(data, segments=whole), pool, data.policy.applied(settings.search))
+        data = replace(data, budget=budget)
+        effects, left = _effects(data, seen, single, scoring, share, whole, progress)
+    rmse = np.sqrt(np.mean(np.concatenate(seen.fit.residuals)[:, : len(noise)] ** 2, axis=0))
+    far = float(np.max(rmse / noise))
+    return Information(
+        parameters, trade_offs, effects, left, data.simulator.engine, (len(chosen), len(whole)), far
+    )
+
+
+def _nominal(data: Data, noise: Array) -> Fitted:
+    """The nominal model, as if its residuals were the noise of the measurements."""
+    fitted = data.nominal_fit()
+    beside = fitted.noise[len(noise) :]  # of other channels their residuals say what is known
+    return replace(fitted, noise=(*(JointNoise(float(size)) for size in noise), *beside))
+
+
+def _in_time(data: Data, segments: Sequence[Segment], pool: Sequence[Candidate], budget: Budget) -> list[Segment]:
+    """Shooting intervals, evenly over all, as many as the budget does for."""
+    if math.isinf(budget.seconds) or len(segments) <= LEAST_SEGMENTS:
+        return list(segments)
+    first = segments[:1]
+    model, start = data.free.model, [first[0].start[None, :]]
+    data.simulator([model], first, start)  # compiles, if there is anything to compile
+    begun = time.perf_counter()
+    count = len(data.free.free) + len(first[0].free_at) + 1
+    for _ in range(3):
+        data.simulator([model] * count, first, [np.tile(first[0].start, (count, 1))])
+    once = (time.perf_counter() - begun) / 3
+    guesses = sum(len(c.guesses) for c in pool)
+    each = once * (1 + 2 * guesses / count)
+    left = SHARE_OF_BUDGET * (budget.begun + budget.seconds - time.perf_counter())
+    most = min(max(int(left / max(each, 1e-9)), LEAST_SEGMENTS), len(segments))
+    return [segments[k] for k in np.unique(np.linspace(0, len(segments) - 1, most).round().astype(int))]
+
+
+def _parameters(
+    data: Data, seen: Fitted, share: float
+) -> tuple[tuple[ParameterInformation, ...], tuple[TradeOff, ...]]:
+    """What is known of each parameter, from a share of what is measured."""
+    free = data.free
+    slopes = whiten_fit(data.times, seen.fit, seen.noise).slopes / math.sqrt(share)
+    known = identifiable(slopes, free.names, free.scale, free.start)
+    deviations = np.where(known.hidden, np.inf, np.sqrt(np.maximum(np.diag(known.inverse), 0.0)) * free.scale)
+    strength = np.linalg.norm(slopes, axis=0)
+    with np.errstate(divide="ignore"):
+        alone = free.scale / strength
+    rows = tuple(
+        ParameterInformation(f.label, f.unit, f.start, float(sd), float(own), f.high - f.low)
+        for f, sd, own in zip(free.free, deviations, alone, strict=True)
+    )
+    return rows, known.trade_offs
+
+
+def _effects(
+    data: Data,
+    seen: Fitted,
+    pool: Sequence[Candidate],
+    scoring: Scoring,
+    share: float,
+    whole: Sequence[Segment],
+    progress: Callable[[str, float], None],
+) -> tuple[tuple[EffectInformation, ...], tuple[str, ...]]:
+    """The smallest detectable sizes, and the names of effects that the budget did not do for."""
+    excitation = excitation_of(data.free.model, whole)
+    by_name: dict[str, list[Candidate]] = {}
+    for candidate in pool:
+        by_name.setdefault(candidate.effect.name, []).append(candidate)
+    found, left = list[EffectInformation](), list[str]()
+    # Equations with states of their own may have to be compiled: the others first.
+    order = sorted(by_name, key=lambda name: (by_name[name][0].effect.own_equations, name))
+    for k, name in enumerate(order):
+        progress(name.replace("_", " "), 0.1 + 0.9 * k / len(order))
+        try:
+            data.budget.check()
+            rows = _screened(data, seen, by_name[name], scoring, share)
+        except BudgetSpent:
+            left.append(name)
+            continue
+        for own, candidate in rows:
+            place = candidate.locations[0]
+            info = candidate.effect.parameter_info()[own.parameter]
+            scale = excitation[place].scale(info["unit"]) if place in excitation else 1.0
+            nothing = candidate.effect.grows_from() or 0.0
+            room = max(info["high"] - nothing, nothing - info["low"])
+            possible = math.isfinite(own.size) and own.size <= room
+            found.append(EffectInformation(own, scale, possible))
+    return tuple(found), tuple(left)
+
+
+def _screened(
+    data: Data, seen: Fitted, own: Sequence[Candidate], scoring: Scoring, share: float
+) -> list[tuple[Detectable, Candidate]]:
+    """The smallest sizes of candidates of one effect; looked at once more at these, for a law need not be linear."""
+
+    def sizes(pool: Sequence[Candidate]) -> list[tuple[Detectable, Screened]]:
+        screened = [replace(s, strength=s.strength / share) for s in screen(data, seen, pool, again=False)]
+        return list(zip(smallest_sizes(data.free.model, screened, scoring.threshold), screened, strict=True))
+
+    first = sizes(own)
+    threshold = scoring.threshold(own[0].n_parameters)
+    again = [
+        replace(s.candidate, guesses=(_resized(s, threshold),))
+        for d, s in first
+        if math.isfinite(d.size) and s.candidate.fades_to()
+    ]
+    second = {s.candidate.label: (d, s) for d, s in (sizes(again) if again else [])}
+    return [(second.get(s.candidate.label, (d, s))[0], s.candidate) for d, s in first]
+
+
+def _resized(screened: Screened, threshold: float) -> dict[str, float]:
+    """The guess whose strength is nearest to the threshold, all that its influence is in proportion to made smaller."""
+    nearest = int(np.argmin(np.abs(np.log(np.maximum(screened.strength, 1e-300) / threshold))))
+    values = dict(screened.tried[nearest])
+    ends = screened.candidate.fades_to()
+    factor = math.sqrt(threshold / max(float(screened.strength[nearest]), 1e-300))
+    return {**values, **{name: end + factor * (values[name] - end) for name, end in ends.items()}}
