@@ -242,7 +242,7 @@ def _screened(
     again = [
         replace(s.candidate, guesses=(_resized(s, threshold),))
         for d, s in first
-        if math.isfinite(d.size) and s.candidate.fades_to()
+        if math.isfinite(d.size) and s.candidate.grows_from() and s.candidate.fades_to()
     ]
     second = {s.candidate.label: (d, s) for d, s in (sizes(again) if again else [])}
     return [(second.get(s.candidate.label, (d, s))[0], s.candidate) for d, s in first]

@@ -117,18 +117,18 @@ def _onsets(
     if recording.linear or span == 0:
         return []
     changes = np.flatnonzero(np.any(np.diff(command, axis=0) != 0, axis=1)) + 1
-    steps = np.flatnonzero(np.diff(command[:, k]) != 0) + 1
+    since = np.diff(time[changes], prepend=-math.inf)
+    own_steps = np.diff(command[:, k], prepend=command[0, k])[changes] != 0
     found = []
-    for row in steps:
-        before = time[row] - REST_BEFORE
-        first = int(np.searchsorted(time, before))
-        earlier = changes[changes < row]
+    for place in np.flatnonzero(own_steps & (since > REST_BEFORE)):
+        row = int(changes[place])
+        first = int(np.searchsorted(time, time[row] - REST_BEFORE))
         if row - first < LEAST_BEFORE or time[first] > time[row] - REST_BEFORE / 2:
             continue
-        if (len(earlier) and time[earlier[-1]] > before) or not signals.resting[first:row].all():
+        if not signals.resting[first:row].all():
             continue
         # The next change of any command may be another beginning; it only ends what is looked at.
-        later = changes[changes > row]
+        later = changes[place + 1 :]
         end = min(time[row] + HORIZON, time[later[0]] if len(later) else math.inf)
         # A command that goes on changing from here, as along a ramp, is one beginning too.
         if len(later) and later[0] == row + 1:

@@ -48,11 +48,11 @@ class CheckLimits:
     held: float = decided_by(
         0.1,
         "of the rows in motion",
-        "share of rows that repeat the value before, though the joint moves by several steps a row: then measurements "
-        "come from another clock than rows",
+        "share of rows that repeat the value before, as regularly as a clock, though the joint moves by several steps a "
+        "row: then measurements come from another clock than rows",
         "convention",
-        "of white noise over ten steps of the sensor 4 % of neighbours are alike by chance",
-        where="judgement",
+        "a sensor that gives nine values in ten rows; one stamp in ten is then off by a row",
+        where="judgement signals",
     )
     coarse: float = decided_by(
         1.0,

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtri
 
-from equimus_ctrl.identification.noise import LEAST, noise_of_differences, resolution
+from equimus_ctrl.identification.noise import LEAST, noise_of_differences, step_of
 from equimus_ctrl.preflight.limits import LIMITS, CheckLimits
 from equimus_ctrl.types import Array, Recording
 
@@ -30,10 +30,14 @@ ENOUGH = 60
 """So many rows at rest say how large the noise is."""
 BLOCK = 50
 """Rows of the blocks over whose second differences the median is taken where there is no rest."""
-SPREAD = 10
-"""Rows to either side over which the speed is taken that says whether a joint is in motion."""
 FAST = 2.0
-"""Steps of the sensor a row from which on no two neighbouring values of a joint in motion are alike."""
+"""Steps of the sensor from one row to the next from which on a joint is in motion."""
+LARGE = 4.0
+"""Standard deviations of the noise, likewise."""
+IRREGULAR = 0.5
+"""Standard deviation over mean of the rows between repeats beyond which they come by chance: then it is about 1."""
+MOST_HELD = 20
+"""Rows that a value is held at most; what stays for longer rests."""
 LEAST_MOVING = 50
 """Fewer rows in motion say nothing of how often values are new."""
 LEAST_FLAT = 3
@@ -77,6 +81,8 @@ class Clock:
     def of(cls, time: Array, limits: CheckLimits = LIMITS) -> Clock:
         """Of the stamps (n,) of a recording [s]."""
         steps = np.diff(time)
+        if not len(steps):
+            return cls(len(time), 0.0, math.inf, 0.0, (), 0.0, 0)
         usual = float(np.median(steps))
         wide = steps > limits.gap * usual
         gaps = tuple((float(time[k]), float(steps[k])) for k in np.flatnonzero(wide))
@@ -104,43 +110,52 @@ class Flat:
 
 
 @dataclass(frozen=True)
-class JointSignal:
-    """What was measured of one joint in one recording.
+class JointScatter:
+    """How the positions of one joint scatter in one recording.
 
     Attributes:
         name: of the joint.
         low: lowest position [rad or m].
         high: highest position [rad or m].
         deviation: standard deviation of the positions [rad or m].
-        speed: usual speed, its root mean square [rad/s or m/s].
-        peak_speed: largest speed, smoothed over half a period of the bandwidth [rad/s or m/s].
-        peak_acceleration: likewise [rad/s² or m/s²].
-        bandwidth: frequency below which ``MOST`` of the speed's power is, above white noise [Hz]; 0 where none is.
         step: in which measurements come [rad or m]; 0 where they come in none.
         noise: standard deviation, at rest where there is rest; not less than the error of the steps [rad or m].
-        held: share of the rows in motion that repeat the value before.
         fresh: rows whose value is not that of the row before.
-        flats: see ``Flat``.
     """
 
     name: str
     low: float
     high: float
     deviation: float
-    speed: float
-    peak_speed: float
-    peak_acceleration: float
-    bandwidth: float
     step: float
     noise: float
-    held: float
     fresh: int
-    flats: tuple[Flat, ...]
 
     @property
     def travel(self) -> float:
         """From the lowest to the highest position [rad or m]."""
         return self.high - self.low
+
+
+@dataclass(frozen=True)
+class JointSignal(JointScatter):
+    """What was measured of one joint in one recording.
+
+    Attributes:
+        speed: usual speed, its root mean square [rad/s or m/s].
+        peak_speed: largest speed, smoothed over half a period of the bandwidth [rad/s or m/s].
+        peak_acceleration: likewise [rad/s² or m/s²].
+        bandwidth: frequency below which ``MOST`` of the speed's power is, above white noise [Hz]; 0 where none is.
+        held: share of the rows in motion that repeat the value before.
+        flats: see ``Flat``.
+    """
+
+    speed: float
+    peak_speed: float
+    peak_acceleration: float
+    bandwidth: float
+    held: float
+    flats: tuple[Flat, ...]
 
 
 @dataclass(frozen=True)
@@ -192,6 +207,26 @@ class Signals:
         return np.array([joint.noise for joint in self.joints])
 
 
+def scatter_of(recording: Recording, limits: CheckLimits = LIMITS) -> tuple[JointScatter, ...]:
+    """How the positions of each joint scatter: the part of ``signals_of`` that takes no time."""
+    return _scatter(recording, Clock.of(np.array(recording.time), limits))[0]
+
+
+def _scatter(recording: Recording, clock: Clock) -> tuple[tuple[JointScatter, ...], NDArray[np.bool_]]:
+    """The same, and which rows are at rest."""
+    position = np.array(recording.position)
+    steps = np.array([step_of(column) for column in position.T])
+    steps[np.isinf(steps)] = 0.0  # of a joint that does not move nothing is known
+    noise, resting = noise_and_rests(clock, position, steps)
+    rows = zip(recording.joints, position.T, steps.tolist(), noise.tolist(), strict=True)
+    return tuple(
+        JointScatter(
+            name, float(x.min()), float(x.max()), float(x.std()), step, size, int(np.count_nonzero(np.diff(x)))
+        )
+        for name, x, step, size in rows
+    ), resting
+
+
 def signals_of(recording: Recording, command_range: tuple[Array, Array], limits: CheckLimits = LIMITS) -> Signals:
     """What the signals of a recording are like.
 
@@ -200,19 +235,11 @@ def signals_of(recording: Recording, command_range: tuple[Array, Array], limits:
         command_range: (low, high), each (na,): between what commands make a difference, ±inf where nothing says so.
         limits: by which motion is told from noise.
     """
-    time, position = np.array(recording.time), np.array(recording.position)
+    time = np.array(recording.time)
     clock = Clock.of(time, limits)
-    steps = np.array([resolution(column) for column in position.T])
-    noise, resting = noise_and_rests(clock, position, steps)
-    joints = tuple(
-        _joint(name, time, position[:, j], float(steps[j]), float(noise[j]), clock, limits)
-        for j, name in enumerate(recording.joints)
-    )
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], resting, [False]]).astype(int)))
-    rests = tuple(
-        (float(time[a]), float(time[min(b, len(time)) - 1] - time[a]))
-        for a, b in zip(edges[::2], edges[1::2], strict=True)
-    )
+    scatter, resting = _scatter(recording, clock)
+    joints = tuple(_joint(own, time, recording.position[:, j], clock, limits) for j, own in enumerate(scatter))
+    rests = tuple((float(time[a]), float(time[b - 1] - time[a])) for a, b in _runs(resting))
     commands = tuple(
         _command(name, recording.command[:, k], float(command_range[0][k]), float(command_range[1][k]))
         for k, name in enumerate(recording.actuators)
@@ -238,7 +265,9 @@ def noise_and_rests(clock: Clock, position: Array, steps: Array) -> tuple[Array,
         resting = _resting(clock, position, np.maximum(noise, floor))
         pieces = [position[a:b] for a, b in _runs(resting) if b - a > 2]
         if sum(len(piece) for piece in pieces) >= ENOUGH:
-            noise = np.maximum([own.sigma for own in noise_of_differences(pieces)], floor)
+            rested = np.array([own.sigma for own in noise_of_differences(pieces)])
+            # Where positions are exactly the same in all rests, these say nothing.
+            noise = np.maximum(np.where(rested > LEAST, rested, noise), floor)
     return noise, resting
 
 
@@ -247,8 +276,9 @@ def _block_noise(position: Array) -> Array:
     second = np.diff(position, 2, axis=0) ** 2
     if len(second) == 0:
         return np.zeros(position.shape[1])
-    blocks = np.array_split(second, max(len(second) // BLOCK, 1))
-    return np.asarray(np.sqrt(np.median([block.mean(axis=0) for block in blocks], axis=0) / 6.0))
+    means = np.array([block.mean(axis=0) for block in np.array_split(second, max(len(second) // BLOCK, 1))])
+    # Blocks in which nothing changes at all say nothing.
+    return np.array([math.sqrt(float(np.median(own[own > 0])) / 6.0) if np.any(own > 0) else 0.0 for own in means.T])
 
 
 def _resting(clock: Clock, position: Array, noise: Array) -> NDArray[np.bool_]:
@@ -277,39 +307,47 @@ def _runs(mask: NDArray[np.bool_]) -> list[tuple[int, int]]:
     return [(int(a), int(b)) for a, b in zip(edges[::2], edges[1::2], strict=True)]
 
 
-def _joint(
-    name: str, time: Array, x: Array, step: float, noise: float, clock: Clock, limits: CheckLimits
-) -> JointSignal:
-    repeats = np.diff(x) == 0
-    held = _held(x, repeats, step, noise)
-    bandwidth = _bandwidth(x, clock, max(noise, LEAST), limits.significance)
+def _joint(own: JointScatter, time: Array, x: Array, clock: Clock, limits: CheckLimits) -> JointSignal:
+    held = _held(x, own.step, own.noise)
+    bandwidth = _bandwidth(x, clock, max(own.noise, LEAST), limits.significance)
     speed, acceleration = _derivatives(time, x, clock, bandwidth)
     return JointSignal(
-        name=name,
-        low=float(x.min()),
-        high=float(x.max()),
-        deviation=float(x.std()),
+        **vars(own),
         speed=float(np.sqrt(np.mean(speed**2))),
         peak_speed=float(np.abs(speed).max()),
         peak_acceleration=float(np.abs(acceleration).max()),
         bandwidth=bandwidth,
-        step=step,
-        noise=noise,
         held=held,
-        fresh=int(np.count_nonzero(~repeats)),
-        flats=_flats(time, x, max(noise, step), held, limits),
+        flats=_flats(time, x, max(own.noise, own.step), held, limits),
     )
 
 
-def _held(x: Array, repeats: NDArray[np.bool_], step: float, noise: float) -> float:
-    """Share of the rows in motion that repeat the value before; 0 where too few are in motion."""
-    if len(x) <= 2 * SPREAD:
+def _held(x: Array, step: float, noise: float) -> float:
+    """Share of the rows in motion that repeat the value before; 0 where too few are in motion.
+
+    Such rows stand between two that go the same way, by so much that neighbours are alike by no chance. Of a sensor with
+    a clock of its own about as many come each time; where friction holds a joint for a moment, any number do.
+    """
+    change = np.diff(x)
+    large = np.abs(change) > max(FAST * step, LARGE * noise, np.finfo(float).eps * float(np.abs(x).max(initial=0.0)))
+    moving = np.flatnonzero(large)
+    if len(moving) < LEAST_MOVING:
         return 0.0
-    a_row = np.abs(x[2 * SPREAD :] - x[: -2 * SPREAD]) / (2 * SPREAD)
-    moving = a_row > max(FAST * step, noise, np.finfo(float).eps * float(np.abs(x).max()))
-    if np.count_nonzero(moving) < LEAST_MOVING:
+    between = np.diff(moving) - 1
+    none = np.concatenate([[0], np.cumsum(change == 0)])
+    all_repeat = none[moving[1:]] - none[moving[:-1] + 1] == between
+    one_way = change[moving[1:]] * change[moving[:-1]] > 0
+    counted = all_repeat & one_way & (between <= MOST_HELD)
+    if np.count_nonzero(counted) < LEAST_MOVING:
         return 0.0
-    return float(np.mean(repeats[SPREAD - 1 : SPREAD - 1 + len(moving)][moving]))
+    rows = between[counted]
+    if np.quantile(rows, 0.9) - np.quantile(rows, 0.1) > 1:
+        return 0.0
+    # Between repeats come about as many new values each time, too.
+    apart = np.diff(np.flatnonzero(rows > rows.min()))
+    if len(apart) and rows.min() == 0 and apart.std() > IRREGULAR * apart.mean():
+        return 0.0
+    return float(rows.sum() / (rows + 1).sum())
 
 
 def _flats(time: Array, x: Array, size: float, held: float, limits: CheckLimits) -> tuple[Flat, ...]:
