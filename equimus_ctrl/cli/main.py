@@ -12,6 +12,7 @@ import typer
 
 from equimus_ctrl.cli import (
     autotune,
+    check,
     compare,
     diagnose,
     emulate,
@@ -50,6 +51,7 @@ app.command("emulate")(emulate.emulate)
 app.command("score")(score.score)
 app.command("validate")(validate.validate)
 app.command("identify")(identify.identify)
+app.command("check")(check.check)
 app.command("diagnose")(diagnose.diagnose)
 app.command("prove")(prove.prove)
 app.command("sensitivity")(sensitivity.sensitivity)

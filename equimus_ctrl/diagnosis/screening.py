@@ -156,15 +156,13 @@ class _Guess:
     kept: tuple[int, ...]
 
 
-def screen(data: Data, fitted: Fitted, pool: Sequence[Candidate], again: bool = True) -> list[Screened]:
+def screen(data: Data, fitted: Fitted, pool: Sequence[Candidate]) -> list[Screened]:
     """Every candidate of a pool added to a fitted hypothesis, where that is possible, to first order.
 
     Args:
         data: what was measured.
         fitted: the hypothesis that they are added to.
         pool: the candidates.
-        again: whether guesses that the parameters nearly cancel are looked at with these moved, for what they gain;
-            strengths do not depend on it.
 
     Returns:
         One for each that can be added, in the pool's order.
@@ -177,13 +175,36 @@ def screen(data: Data, fitted: Fitted, pool: Sequence[Candidate], again: bool = 
         return []
     responses = _responses(data, fitted, guesses)
     evaluated = _evaluated(responses)
-    replacements = _rescreened_at_changed_parameters(responses, evaluated) if again else {}
+    replacements = _rescreened_at_changed_parameters(responses, evaluated)
     screened = []
     for candidate in pool:
         if candidate in evaluated:
             of_it = sorted(evaluated[candidate], key=lambda guess: guess.index)
             screened.append(_selected(responses, candidate, [replacements.get(g.index, g) for g in of_it]))
     return screened
+
+
+def screen_strengths(data: Data, fitted: Fitted, pool: Sequence[Candidate]) -> list[Screened]:
+    """The same for what candidates change, whatever the residuals: their strengths alone are what they say.
+
+    The strength of a guess that the parameters nearly cancel is that with these moved along, as a fit would move them.
+
+    Raises:
+        BudgetSpent: where the budget ends.
+    """
+    guesses = _initial_guesses(data, fitted, pool)
+    if not guesses:
+        return []
+    responses = _responses(data, fitted, guesses)
+    evaluated = _evaluated(responses)
+    moved = _strengths_at_changed_parameters(responses, evaluated)
+    found = []
+    for candidate in pool:
+        if candidate in evaluated:
+            of_it = sorted(evaluated[candidate], key=lambda guess: guess.index)
+            own = [replace(g, strengths=(g.strengths[WHITE], moved.get(g.index, g.strengths[ESTIMATED]))) for g in of_it]
+            found.append(_selected(responses, candidate, own))
+    return found
 
 
 def _initial_guesses(data: Data, fitted: Fitted, pool: Sequence[Candidate]) -> list[Hypothesis]:
@@ -361,6 +382,40 @@ def _rescreened_at_changed_parameters(
         if not (chosen := again):
             break
     return replacements
+
+
+def _strengths_at_changed_parameters(
+    responses: _Responses, evaluated: Mapping[Candidate, Sequence[_Guess]]
+) -> dict[int, float]:
+    """By their index, of guesses that the parameters nearly cancel, χ² of what is left once these are moved along.
+
+    θ ← θ − S⁺c, c of what both change, by the Jacobian S at the fit (chord method), LOOKS times; the least counts.
+    """
+    data, fitted = responses.data, responses.fitted
+    base, scale = len(data.free.free), fitted.fit.parameters.scale[: len(data.free.free)]
+    whitened, columns = responses.whitened_fits[ESTIMATED], responses.columns[ESTIMATED]
+    size = (columns**2).sum(axis=0)
+    chosen = [
+        guess
+        for guesses in evaluated.values()
+        for guess in guesses
+        if len(guess.kept) >= base and _nearly_cancelled(data, float(size[guess.index]), guess.strengths[ESTIMATED])
+    ]
+    if not chosen:
+        return {}
+    inverse = np.linalg.pinv(whitened.slopes[:, :base], rcond=STRONG)
+    spans = {kept: Nuisance.of(whitened.slopes[:, list(kept)]) for kept in {guess.kept for guess in chosen}}
+    changed = columns[:, [guess.index for guess in chosen]]
+    thetas = [fitted.fit.theta[:base]] * len(chosen)
+    found = {guess.index: guess.strengths[ESTIMATED] for guess in chosen}
+    for _ in range(LOOKS):
+        thetas = [data.free.moved(t, -(inverse @ c) * scale) for t, c in zip(thetas, changed.T, strict=True)]
+        hypotheses = [responses.guesses[guess.index] for guess in chosen]
+        changed = whitened.columns(data.times, _changes(data, fitted, responses.reference, hypotheses, thetas))
+        for k, guess in enumerate(chosen):
+            left = spans[guess.kept].squares_beyond(changed[:, k])
+            found[guess.index] = min(found[guess.index], left)
+    return found
 
 
 @dataclass(frozen=True, eq=False)

@@ -26,8 +26,9 @@ from equimus_ctrl.diagnosis.hypothesis import Candidate
 from equimus_ctrl.diagnosis.place_excitation import excitation_of
 from equimus_ctrl.diagnosis.results import Detectable
 from equimus_ctrl.diagnosis.scoring import Scoring
-from equimus_ctrl.diagnosis.screening import Screened, screen
+from equimus_ctrl.diagnosis.screening import Screened, screen_strengths
 from equimus_ctrl.effects.base import REGISTRY
+from equimus_ctrl.effects.excitation import Excitation
 from equimus_ctrl.engines.base import Engine
 from equimus_ctrl.identification.noise import JointNoise
 from equimus_ctrl.identification.parameters import FreeParameters
@@ -38,6 +39,13 @@ from equimus_ctrl.types import Array
 
 SHARE_OF_BUDGET = 0.6
 """Of what is left of the time so much is planned to be used: how long simulations take differs."""
+ROUNDS = 3
+"""So often sizes are looked at again at the smallest detectable ones that were found."""
+NEAR, FAR = 1.5, 10.0
+"""Factors of χ² from the threshold within which a size is not looked at again, and beyond which nothing is said of it:
+what a large change of parameters cancels does not show by the curvature that a small one leaves."""
+MOST_CHANGED = 30.0
+"""Factor by which a size changes from one round to the next at most."""
 LEAST_SEGMENTS = 2
 """Shooting intervals that are simulated, however little time there is."""
 
@@ -71,11 +79,13 @@ class EffectInformation:
         smallest: the smallest detectable size.
         scale: what that compares with in these recordings: the largest force, the travel [the same unit].
         possible: whether an effect can be that large.
+        sized: whether it has a size, in proportion to which it changes the motion; else it is the weakest one tried.
     """
 
     smallest: Detectable
     scale: float
     possible: bool
+    sized: bool
 
     @property
     def share(self) -> float:
@@ -94,7 +104,7 @@ class Information:
         not_done: effects that the time did not do for.
         engine: that simulated.
         intervals: shooting intervals simulated, and how many a diagnosis fits.
-        far: the nominal model's error over the noise, of the worst joint.
+        far: the nominal model's error over the noise, from initial states that fit it best to first order.
     """
 
     parameters: tuple[ParameterInformation, ...]
@@ -141,8 +151,8 @@ def information(
         scoring = Scoring(replace(data, segments=whole), pool, data.policy.applied(settings.search))
         data = replace(data, budget=budget)
         effects, left = _effects(data, seen, single, scoring, share, whole, progress)
-    rmse = np.sqrt(np.mean(np.concatenate(seen.fit.residuals)[:, : len(noise)] ** 2, axis=0))
-    far = float(np.max(rmse / noise))
+        # Initial states, which noisy measurements say, are not the model's fault.
+        far = float(np.sqrt(np.mean(whiten_fit(data.times, seen.fit, seen.noise).residual ** 2)))
     return Information(
         parameters, trade_offs, effects, left, data.simulator.engine, (len(chosen), len(whole)), far
     )
@@ -220,32 +230,55 @@ def _effects(
         for own, candidate in rows:
             place = candidate.locations[0]
             info = candidate.effect.parameter_info()[own.parameter]
-            scale = excitation[place].scale(info["unit"]) if place in excitation else 1.0
+            scale = _compares_with(excitation[place], info["unit"]) if place in excitation else 1.0
             nothing = candidate.effect.grows_from() or 0.0
             room = max(info["high"] - nothing, nothing - info["low"])
             possible = math.isfinite(own.size) and own.size <= room
-            found.append(EffectInformation(own, scale, possible))
+            found.append(EffectInformation(own, scale, possible, candidate.effect.grows_from() is not None))
     return tuple(found), tuple(left)
+
+
+def _compares_with(shown: Excitation, unit: str) -> float:
+    """What a size with this unit is a share of."""
+    more = {
+        "Pa": shown.command,
+        "Pa/s": shown.command * shown.speed / shown.span,
+        "N/m³": shown.force / shown.span**3,
+        "1/(N·m)": 1.0 / shown.force,
+    }
+    return more.get(unit, shown.scale(unit))
 
 
 def _screened(
     data: Data, seen: Fitted, own: Sequence[Candidate], scoring: Scoring, share: float
 ) -> list[tuple[Detectable, Candidate]]:
-    """The smallest sizes of candidates of one effect; looked at once more at these, for a law need not be linear."""
+    """The smallest sizes of candidates of one effect; looked at again at these, for a law need not be linear."""
+    threshold = scoring.threshold(own[0].n_parameters)
 
     def sizes(pool: Sequence[Candidate]) -> list[tuple[Detectable, Screened]]:
-        screened = [replace(s, strength=s.strength / share) for s in screen(data, seen, pool, again=False)]
+        screened = [replace(s, strength=s.strength / share) for s in screen_strengths(data, seen, pool)]
         return list(zip(smallest_sizes(data.free.model, screened, scoring.threshold), screened, strict=True))
 
-    first = sizes(own)
-    threshold = scoring.threshold(own[0].n_parameters)
-    again = [
-        replace(s.candidate, guesses=(_resized(s, threshold),))
-        for d, s in first
-        if math.isfinite(d.size) and s.candidate.grows_from() and s.candidate.fades_to()
+    candidate_of = {candidate.label: candidate for candidate in own}
+    found = {s.candidate.label: (d, s) for d, s in sizes(own)}
+    for _ in range(ROUNDS):
+        again = [
+            replace(s.candidate, guesses=(_resized(s, threshold),))
+            for d, s in found.values()
+            if math.isfinite(d.size) and s.candidate.grows_from() and s.candidate.fades_to() and not _near(s, threshold)
+        ]
+        if not again:
+            break
+        found |= {s.candidate.label: (d, s) for d, s in sizes(again)}
+    return [
+        (d if not s.candidate.grows_from() or _near(s, threshold, FAR) else replace(d, size=math.inf), candidate_of[label])
+        for label, (d, s) in found.items()
     ]
-    second = {s.candidate.label: (d, s) for d, s in (sizes(again) if again else [])}
-    return [(second.get(s.candidate.label, (d, s))[0], s.candidate) for d, s in first]
+
+
+def _near(screened: Screened, threshold: float, factor: float = NEAR) -> bool:
+    """Whether a guess is so strong that its size says how large the smallest detectable one is."""
+    return bool(np.any(np.abs(np.log(np.maximum(screened.strength, 1e-300) / threshold)) < math.log(factor)))
 
 
 def _resized(screened: Screened, threshold: float) -> dict[str, float]:
@@ -254,4 +287,5 @@ def _resized(screened: Screened, threshold: float) -> dict[str, float]:
     values = dict(screened.tried[nearest])
     ends = screened.candidate.fades_to()
     factor = math.sqrt(threshold / max(float(screened.strength[nearest]), 1e-300))
+    factor = float(np.clip(factor, 1 / MOST_CHANGED, MOST_CHANGED))
     return {**values, **{name: end + factor * (values[name] - end) for name, end in ends.items()}}

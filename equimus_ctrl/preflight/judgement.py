@@ -15,7 +15,7 @@ from equimus_ctrl.models.model import Model
 from equimus_ctrl.preflight.latency import Latency
 from equimus_ctrl.preflight.limits import LIMITS, CheckLimits
 from equimus_ctrl.preflight.runs import Repeats, RestPose
-from equimus_ctrl.preflight.signals import JointScatter, JointSignal, Signals
+from equimus_ctrl.preflight.signals import Clock, JointScatter, JointSignal, Signals
 
 Severity = Literal["note", "warning", "stop"]
 """Good to know; makes answers worse; an answer would mean nothing."""
@@ -131,7 +131,8 @@ def _spread(own: Sequence[JointScatter]) -> float:
 
 
 def _text(reading: Reading, value: float, digits: int = 2) -> str:
-    return reading(f"{reading.factor * value:.{digits}g}")
+    shown = reading.factor * value
+    return reading(f"{shown:.0f}" if abs(shown) >= 10**digits else f"{shown:.{digits}g}")
 
 
 def _steps(model: Model, scatter: Scatter, limits: CheckLimits) -> list[Finding]:
@@ -163,16 +164,26 @@ def _stop_if_all(found: list[Finding], joints: int) -> list[Finding]:
 def _buried(model: Model, scatter: Scatter, limits: CheckLimits) -> list[Finding]:
     found = list[Finding]()
     for name, own in _by_joint(scatter):
-        ratio, joint = max(((j.deviation / j.noise, j) for j in own), key=lambda pair: pair[0])
+        # Noise is part of how far positions scatter.
+        ratio, joint = max(
+            ((math.sqrt(max(j.deviation**2 / j.noise**2 - 1, 0.0)), j) for j in own),
+            key=lambda pair: (pair[0], pair[1].deviation),
+        )
         if ratio > limits.buried:
             continue
         unit = display_units.error(model, name)
+        if all(j.fresh == 0 for j in own):
+            moves = "stays exactly where it is in every recording"
+        else:
+            moves = (
+                f"scatters by {_text(unit, joint.deviation)} (standard deviation) where it moves most, which is its noise "
+                f"of {_text(unit, joint.noise)} and little else"
+            )
         found.append(
             Finding(
                 "warning",
                 "noise",
-                f"pos.{name} moves by {_text(unit, joint.deviation)} (standard deviation), no more than its noise of "
-                f"{_text(unit, joint.noise)}, in all recordings: nothing can be told of what moves it",
+                f"pos.{name} {moves}: nothing can be told of what moves it; record motion well above the noise",
                 channel=f"pos.{name}",
                 value=ratio,
             )
@@ -180,25 +191,37 @@ def _buried(model: Model, scatter: Scatter, limits: CheckLimits) -> list[Finding
     return _stop_if_all(found, len(scatter[0]))
 
 
+def backward(name: str, clock: Clock) -> list[Finding]:
+    """Stamps that do not ascend: no time between rows can be believed."""
+    if not clock.backward:
+        return []
+    rows = "1 stamp repeats" if clock.backward == 1 else f"{clock.backward} stamps repeat"
+    return [
+        Finding(
+            "stop",
+            "clock",
+            f"{name}: {rows} the one before or lie before it; times must ascend: drop rows that were written twice, or "
+            "sort them",
+            name,
+            "time",
+            float(clock.backward),
+        )
+    ]
+
+
 def _clocks(model: Model, signals: Sequence[Signals], limits: CheckLimits) -> list[Finding]:
-    found = []
-    for own in signals:
-        clock = own.clock
-        if clock.backward:
-            found.append(
-                Finding(
-                    "stop", "clock", f"{own.name}: {clock.backward} stamps repeat the one before or go back; times must "
-                    "ascend: drop rows that were written twice, or sort them", own.name, "time", float(clock.backward),
-                )
-            )  # fmt: skip
-        if clock.bursts > 0:
-            found.append(
-                Finding(
-                    "warning", "clock", f"{own.name}: {100 * clock.bursts:.2g} % of the rows come in bursts, less than "
-                    f"{limits.burst:g} of the usual {1e3 * clock.interval:.3g} ms after the one before: stamps seem to "
-                    "say when rows arrived; stamp them where they are measured", own.name, "time", clock.bursts,
-                )
-            )  # fmt: skip
+    found = [finding for own in signals for finding in backward(own.name, own.clock)]
+    bursts = [own for own in signals if own.clock.bursts > 0]
+    if bursts:
+        worst = max(bursts, key=lambda own: own.clock.bursts)
+        found.append(
+            Finding(
+                "warning", "clock", f"{_named([own.name for own in bursts])}: up to {100 * worst.clock.bursts:.2g} % of the "
+                f"rows come less than {limits.burst:g} of the usual {1e3 * worst.clock.interval:.3g} ms after the one "
+                "before: stamps seem to say when rows arrived; stamp them where they are measured", worst.name, "time",
+                worst.clock.bursts,
+            )
+        )  # fmt: skip
     gaps = [(own.name, *own.clock.gaps[0], len(own.clock.gaps)) for own in signals if own.clock.gaps]
     if gaps:
         name, start, length, count = max(gaps, key=lambda gap: gap[2])
@@ -394,8 +417,8 @@ def _differences(
         )  # fmt: skip
     noisy: dict[int, list[str]] = {}
     for name, own in _joints(signals):
-        # Of a joint that does not move in a recording nothing is known there.
-        values = [joint.noise if joint.fresh else 0.0 for joint in own]
+        # Without rests accelerations may make it larger.
+        values = [joint.noise if joint.at_rest else 0.0 for joint in own]
         unit = display_units.error(model, name)
         for odd, middle in _odd(values, limits):
             for k in odd:

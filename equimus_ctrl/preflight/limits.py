@@ -46,12 +46,12 @@ class CheckLimits:
         where="judgement",
     )
     held: float = decided_by(
-        0.1,
+        0.2,
         "of the rows in motion",
-        "share of rows that repeat the value before, as regularly as a clock, though the joint moves by several steps a "
-        "row: then measurements come from another clock than rows",
+        "share of rows that repeat the value before, though the joint moves by several steps a row: then measurements "
+        "come from another clock than rows",
         "convention",
-        "a sensor that gives nine values in ten rows; one stamp in ten is then off by a row",
+        "a sensor that gives four values in five rows, whose stamps are off by half a row in the mean where it repeats",
         where="judgement signals",
     )
     coarse: float = decided_by(
@@ -66,7 +66,8 @@ class CheckLimits:
     buried: float = decided_by(
         1.0,
         "noise",
-        "standard deviation of a joint's positions below which its motion cannot be told from the noise",
+        "standard deviation of a joint's motion, what its positions scatter more than the noise, below which nothing can "
+        "be told of it",
         "theory",
         "a signal-to-noise ratio of one",
         where="judgement",

@@ -34,8 +34,8 @@ FAST = 2.0
 """Steps of the sensor from one row to the next from which on a joint is in motion."""
 LARGE = 4.0
 """Standard deviations of the noise, likewise."""
-IRREGULAR = 0.5
-"""Standard deviation over mean of the rows between repeats beyond which they come by chance: then it is about 1."""
+MOST_UNEVEN = 2
+"""Between the few and the many rows that a clock of its own holds values for: of a camera at 60 Hz in rows at 97 Hz, 2."""
 MOST_HELD = 20
 """Rows that a value is held at most; what stays for longer rests."""
 LEAST_MOVING = 50
@@ -120,6 +120,7 @@ class JointScatter:
         deviation: standard deviation of the positions [rad or m].
         step: in which measurements come [rad or m]; 0 where they come in none.
         noise: standard deviation, at rest where there is rest; not less than the error of the steps [rad or m].
+        at_rest: whether it is that at rest; else accelerations may make it larger.
         fresh: rows whose value is not that of the row before.
     """
 
@@ -129,6 +130,7 @@ class JointScatter:
     deviation: float
     step: float
     noise: float
+    at_rest: bool
     fresh: int
 
     @property
@@ -217,13 +219,13 @@ def _scatter(recording: Recording, clock: Clock) -> tuple[tuple[JointScatter, ..
     position = np.array(recording.position)
     steps = np.array([step_of(column) for column in position.T])
     steps[np.isinf(steps)] = 0.0  # of a joint that does not move nothing is known
-    noise, resting = noise_and_rests(clock, position, steps)
-    rows = zip(recording.joints, position.T, steps.tolist(), noise.tolist(), strict=True)
+    noise, at_rest, resting = noise_and_rests(clock, position, steps)
+    rows = zip(recording.joints, position.T, steps.tolist(), noise.tolist(), at_rest.tolist(), strict=True)
     return tuple(
         JointScatter(
-            name, float(x.min()), float(x.max()), float(x.std()), step, size, int(np.count_nonzero(np.diff(x)))
+            name, float(x.min()), float(x.max()), float(x.std()), step, size, rest, int(np.count_nonzero(np.diff(x)))
         )
-        for name, x, step, size in rows
+        for name, x, step, size, rest in rows
     ), resting
 
 
@@ -247,8 +249,10 @@ def signals_of(recording: Recording, command_range: tuple[Array, Array], limits:
     return Signals(recording.name, clock, joints, commands, rests, resting)
 
 
-def noise_and_rests(clock: Clock, position: Array, steps: Array) -> tuple[Array, NDArray[np.bool_]]:
-    """(nj,) the noise of positions (n, nj), and (n,) which rows are at rest.
+def noise_and_rests(
+    clock: Clock, position: Array, steps: Array
+) -> tuple[Array, NDArray[np.bool_], NDArray[np.bool_]]:
+    """(nj,) the noise of positions (n, nj), (nj,) whether it is that at rest, and (n,) which rows are at rest.
 
     The noise by second differences is too large where the joints accelerate. So rests are looked for by it, the noise
     is taken from these, and they are looked for once more.
@@ -260,15 +264,16 @@ def noise_and_rests(clock: Clock, position: Array, steps: Array) -> tuple[Array,
     """
     floor = np.maximum(steps / math.sqrt(12), LEAST)
     noise = np.maximum(_block_noise(position), floor)
-    resting = np.zeros(len(position), dtype=bool)
+    resting, at_rest = np.zeros(len(position), dtype=bool), np.zeros(position.shape[1], dtype=bool)
     for _ in range(2):
         resting = _resting(clock, position, np.maximum(noise, floor))
         pieces = [position[a:b] for a, b in _runs(resting) if b - a > 2]
         if sum(len(piece) for piece in pieces) >= ENOUGH:
             rested = np.array([own.sigma for own in noise_of_differences(pieces)])
             # Where positions are exactly the same in all rests, these say nothing.
-            noise = np.maximum(np.where(rested > LEAST, rested, noise), floor)
-    return noise, resting
+            at_rest = rested > LEAST
+            noise = np.maximum(np.where(at_rest, rested, noise), floor)
+    return noise, at_rest, resting
 
 
 def _block_noise(position: Array) -> Array:
@@ -309,8 +314,13 @@ def _runs(mask: NDArray[np.bool_]) -> list[tuple[int, int]]:
 
 def _joint(own: JointScatter, time: Array, x: Array, clock: Clock, limits: CheckLimits) -> JointSignal:
     held = _held(x, own.step, own.noise)
-    bandwidth = _bandwidth(x, clock, max(own.noise, LEAST), limits.significance)
-    speed, acceleration = _derivatives(time, x, clock, bandwidth)
+    if held > limits.held:  # steps from value to value would be motion of all frequencies
+        fresh = np.concatenate([[True], np.diff(x) != 0])
+        even = np.interp(time, time[fresh], x[fresh])
+    else:
+        even = x
+    bandwidth = _bandwidth(even, clock, max(own.noise, LEAST), limits.significance)
+    speed, acceleration = _derivatives(time, even, clock, bandwidth)
     return JointSignal(
         **vars(own),
         speed=float(np.sqrt(np.mean(speed**2))),
@@ -341,11 +351,7 @@ def _held(x: Array, step: float, noise: float) -> float:
     if np.count_nonzero(counted) < LEAST_MOVING:
         return 0.0
     rows = between[counted]
-    if np.quantile(rows, 0.9) - np.quantile(rows, 0.1) > 1:
-        return 0.0
-    # Between repeats come about as many new values each time, too.
-    apart = np.diff(np.flatnonzero(rows > rows.min()))
-    if len(apart) and rows.min() == 0 and apart.std() > IRREGULAR * apart.mean():
+    if np.quantile(rows, 0.9) - np.quantile(rows, 0.1) > MOST_UNEVEN:
         return 0.0
     return float(rows.sum() / (rows + 1).sum())
 
@@ -394,7 +400,8 @@ def _bandwidth(x: Array, clock: Clock, noise: float, level: float) -> float:
     count = max(2 * len(x) // length - 1, 1)
     # Half-overlapping Hann windows: so many periodograms are worth 9/11 as many independent ones (Welch, 1967).
     freedom = 2.0 * max(count * 9 / 11, 1.0)
-    floor = 2.0 * noise**2 * clock.interval
+    # Noise is larger in motion than at rest, of cameras say: the upper half of the spectrum shows it.
+    floor = max(2.0 * noise**2 * clock.interval, float(np.median(power[len(power) // 2 :])))
     bound = floor * float(chdtri(freedom, level / len(frequency))) / freedom
     of_speed = np.cumsum(np.where(power > bound, frequency**2 * power, 0.0))
     return float(frequency[np.searchsorted(of_speed, MOST * of_speed[-1])]) if of_speed[-1] > 0 else 0.0

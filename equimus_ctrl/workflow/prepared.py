@@ -21,8 +21,8 @@ from equimus_ctrl.identification.parameters import FreeParameters
 from equimus_ctrl.identification.simulators import Simulator
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.options import DiagnoseOptions
-from equimus_ctrl.preflight.judgement import Finding, stops, too_few
-from equimus_ctrl.preflight.signals import JointScatter, scatter_of
+from equimus_ctrl.preflight.judgement import Finding, backward, stops, too_few
+from equimus_ctrl.preflight.signals import Clock, JointScatter, scatter_of
 from equimus_ctrl.types import Recording
 from equimus_ctrl.workflow.groups import by_folder, check_enough, check_fitted
 from equimus_ctrl.workflow.identify import choose, marked, simulator_of
@@ -86,6 +86,8 @@ def meaningless(
         preflight.check(model, trials)
     except ConfigError as error:
         yield Finding("stop", "conventions", str(error))
+    for trial in trials:
+        yield from backward(trial.name, Clock.of(trial.time))
     if problem := motion_problem(model, trials):
         yield Finding("stop", "excitation", problem)
     if len(scatter) == len(trials):
