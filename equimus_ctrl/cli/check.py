@@ -29,8 +29,10 @@ def check(
 ) -> None:
     """Say what recordings are like and what they could show, before anything is fitted.
 
-    Clock and jitter, dead times, steps and noise of the sensors, clipping, saturation, rests, repeats, differences between
-    runs; which parameters of the model they determine, and which effects they could show at which size. Exit code 2 where
+    Clock and jitter, dead times, steps and noise of the sensors, clipping, saturation, rests, repeats, differences
+    between
+    runs; which parameters of the model they determine, and which effects they could show at which size. Exit code 2
+    where
     a diagnosis of them would mean nothing.
 
     \b

@@ -66,6 +66,7 @@ class Screened:
         gains: by how much χ² would fall.
         tried: the guesses that could be added.
         strength: for each of them χ² of its orthogonal component, by the noise estimated.
+        whole: likewise χ² of all that it changes; None where nobody asked for strengths alone.
     """
 
     candidate: Candidate
@@ -74,6 +75,7 @@ class Screened:
     gains: ScreenedGains
     tried: tuple[Mapping[str, float], ...]
     strength: Array
+    whole: Array | None = None
 
     def begins(self, data: Data, fitted: Fitted, many_minima: bool) -> list[Array]:
         """(p,) each, θ to first order; beside other parts also part of the way there from no effect of the last one.
@@ -198,12 +200,15 @@ def screen_strengths(data: Data, fitted: Fitted, pool: Sequence[Candidate]) -> l
     responses = _responses(data, fitted, guesses)
     evaluated = _evaluated(responses)
     moved = _strengths_at_changed_parameters(responses, evaluated)
-    found = []
+    whole, found = (responses.columns[ESTIMATED] ** 2).sum(axis=0), []
     for candidate in pool:
         if candidate in evaluated:
             of_it = sorted(evaluated[candidate], key=lambda guess: guess.index)
-            own = [replace(g, strengths=(g.strengths[WHITE], moved.get(g.index, g.strengths[ESTIMATED]))) for g in of_it]
-            found.append(_selected(responses, candidate, own))
+            own = [
+                replace(g, strengths=(g.strengths[WHITE], moved.get(g.index, g.strengths[ESTIMATED]))) for g in of_it
+            ]
+            screened = _selected(responses, candidate, own)
+            found.append(replace(screened, whole=whole[[guess.index for guess in own]]))
     return found
 
 

@@ -2,8 +2,10 @@
 
 With J the derivatives of the nominal model's predictions by its parameters θ, whitened by the noise of the recordings,
 the free initial states projected out, no unbiased estimate has a smaller covariance than (JᵀJ)⁻¹ (Cramér, 1946; Rao,
-1945). An effect of size a changes predictions by c(a); with P the projection off J's columns, χ² = cᵀPc is what it would
-gain in −2Δln L in the mean. Where that is the acceptance threshold of ``diagnose``, it would be accepted every other time.
+1945). An effect of size a changes predictions by c(a); with P the projection off J's columns, χ² = cᵀPc is what it
+would
+gain in −2Δln L in the mean. Where that is the acceptance threshold of ``diagnose``, it would be accepted every other
+time.
 """
 
 from __future__ import annotations
@@ -46,8 +48,14 @@ NEAR, FAR = 1.5, 10.0
 what a large change of parameters cancels does not show by the curvature that a small one leaves."""
 MOST_CHANGED = 30.0
 """Factor by which a size changes from one round to the next at most."""
-LEAST_SEGMENTS = 2
-"""Shooting intervals that are simulated, however little time there is."""
+FAIR = 4.0
+"""Times the share of what is left of the budget that one effect may take: drives that are elastic take long."""
+LEAST_SEGMENTS, LEAST_ROWS = 2, 100
+"""Shooting intervals that are simulated, however little time there is, and rows of each."""
+REPEATED = 3
+"""Simulations that tell how long one takes."""
+AROUND = 4.0
+"""How many times each guess is simulated about: at rounds of sizes and with parameters moved, and worked out."""
 
 
 @dataclass(frozen=True)
@@ -80,12 +88,14 @@ class EffectInformation:
         scale: what that compares with in these recordings: the largest force, the travel [the same unit].
         possible: whether an effect can be that large.
         sized: whether it has a size, in proportion to which it changes the motion; else it is the weakest one tried.
+        confounded: whether it does not show because free parameters can do the same.
     """
 
     smallest: Detectable
     scale: float
     possible: bool
     sized: bool
+    confounded: bool
 
     @property
     def share(self) -> float:
@@ -104,6 +114,7 @@ class Information:
         not_done: effects that the time did not do for.
         engine: that simulated.
         intervals: shooting intervals simulated, and how many a diagnosis fits.
+        share: of what a diagnosis compares, looked at.
         far: the nominal model's error over the noise, from initial states that fit it best to first order.
     """
 
@@ -113,6 +124,7 @@ class Information:
     not_done: tuple[str, ...]
     engine: Engine
     intervals: tuple[int, int]
+    share: float
     far: float
 
 
@@ -154,7 +166,7 @@ def information(
         # Initial states, which noisy measurements say, are not the model's fault.
         far = float(np.sqrt(np.mean(whiten_fit(data.times, seen.fit, seen.noise).residual ** 2)))
     return Information(
-        parameters, trade_offs, effects, left, data.simulator.engine, (len(chosen), len(whole)), far
+        parameters, trade_offs, effects, left, data.simulator.engine, (len(chosen), len(whole)), share, far
     )
 
 
@@ -174,14 +186,22 @@ def _in_time(data: Data, segments: Sequence[Segment], pool: Sequence[Candidate],
     data.simulator([model], first, start)  # compiles, if there is anything to compile
     begun = time.perf_counter()
     count = len(data.free.free) + len(first[0].free_at) + 1
-    for _ in range(3):
+    for _ in range(REPEATED):
         data.simulator([model] * count, first, [np.tile(first[0].start, (count, 1))])
-    once = (time.perf_counter() - begun) / 3
+    once = (time.perf_counter() - begun) / REPEATED
     guesses = sum(len(c.guesses) for c in pool)
-    each = once * (1 + 2 * guesses / count)
+    each = once * (1 + AROUND * guesses / count)
     left = SHARE_OF_BUDGET * (budget.begun + budget.seconds - time.perf_counter())
-    most = min(max(int(left / max(each, 1e-9)), LEAST_SEGMENTS), len(segments))
-    return [segments[k] for k in np.unique(np.linspace(0, len(segments) - 1, most).round().astype(int))]
+    most = left / max(each, 1e-9)
+    if most < LEAST_SEGMENTS:  # the first parts of these
+        share = max(most, 0.0) / LEAST_SEGMENTS
+        places = np.unique(np.linspace(0, len(segments) - 1, LEAST_SEGMENTS).round().astype(int))
+        return [
+            segments[k].first(min(max(int(share * len(segments[k].measured)), LEAST_ROWS), len(segments[k].measured)))
+            for k in places
+        ]
+    count = min(int(most), len(segments))
+    return [segments[k] for k in np.unique(np.linspace(0, len(segments) - 1, count).round().astype(int))]
 
 
 def _parameters(
@@ -221,20 +241,21 @@ def _effects(
     order = sorted(by_name, key=lambda name: (by_name[name][0].effect.own_equations, name))
     for k, name in enumerate(order):
         progress(name.replace("_", " "), 0.1 + 0.9 * k / len(order))
+        fair = data.budget.share(min(FAIR / (len(order) - k), 1.0))
         try:
-            data.budget.check()
-            rows = _screened(data, seen, by_name[name], scoring, share)
+            fair.check()
+            rows = _screened(replace(data, budget=fair), seen, by_name[name], scoring, share)
         except BudgetSpent:
             left.append(name)
             continue
-        for own, candidate in rows:
+        for own, candidate, changes in rows:
             place = candidate.locations[0]
             info = candidate.effect.parameter_info()[own.parameter]
             scale = _compares_with(excitation[place], info["unit"]) if place in excitation else 1.0
-            nothing = candidate.effect.grows_from() or 0.0
-            room = max(info["high"] - nothing, nothing - info["low"])
+            nothing = candidate.effect.grows_from()
+            room = math.inf if nothing is None else max(info["high"] - nothing, nothing - info["low"])
             possible = math.isfinite(own.size) and own.size <= room
-            found.append(EffectInformation(own, scale, possible, candidate.effect.grows_from() is not None))
+            found.append(EffectInformation(own, scale, possible, nothing is not None, changes and not possible))
     return tuple(found), tuple(left)
 
 
@@ -251,16 +272,23 @@ def _compares_with(shown: Excitation, unit: str) -> float:
 
 def _screened(
     data: Data, seen: Fitted, own: Sequence[Candidate], scoring: Scoring, share: float
-) -> list[tuple[Detectable, Candidate]]:
-    """The smallest sizes of candidates of one effect; looked at again at these, for a law need not be linear."""
+) -> list[tuple[Detectable, Candidate, bool]]:
+    """The smallest sizes of candidates of one effect, and whether any guess changes as much, parameters as they are.
+
+    Looked at again at these sizes, for a law need not be linear.
+    """
     threshold = scoring.threshold(own[0].n_parameters)
 
     def sizes(pool: Sequence[Candidate]) -> list[tuple[Detectable, Screened]]:
-        screened = [replace(s, strength=s.strength / share) for s in screen_strengths(data, seen, pool)]
+        screened = [
+            replace(s, strength=s.strength / share, whole=None if s.whole is None else s.whole / share)
+            for s in screen_strengths(data, seen, pool)
+        ]
         return list(zip(smallest_sizes(data.free.model, screened, scoring.threshold), screened, strict=True))
 
     candidate_of = {candidate.label: candidate for candidate in own}
     found = {s.candidate.label: (d, s) for d, s in sizes(own)}
+    changes = {label: s.whole is not None and bool(np.any(s.whole >= threshold)) for label, (_, s) in found.items()}
     for _ in range(ROUNDS):
         again = [
             replace(s.candidate, guesses=(_resized(s, threshold),))
@@ -271,7 +299,11 @@ def _screened(
             break
         found |= {s.candidate.label: (d, s) for d, s in sizes(again)}
     return [
-        (d if not s.candidate.grows_from() or _near(s, threshold, FAR) else replace(d, size=math.inf), candidate_of[label])
+        (
+            d if not s.candidate.grows_from() or _near(s, threshold, FAR) else replace(d, size=math.inf),
+            candidate_of[label],
+            changes[label],
+        )
         for label, (d, s) in found.items()
     ]
 

@@ -4,86 +4,22 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
-from typing import Any, Literal
 
 import numpy as np
 
 from equimus_ctrl.diagnosis import display_units
-from equimus_ctrl.diagnosis.display_units import Reading
 from equimus_ctrl.models.model import Model
+from equimus_ctrl.preflight.findings import SEVERITIES, Finding, backward, buried, coarse, text_of
 from equimus_ctrl.preflight.latency import Latency
 from equimus_ctrl.preflight.limits import LIMITS, CheckLimits
 from equimus_ctrl.preflight.runs import Repeats, RestPose
-from equimus_ctrl.preflight.signals import Clock, JointScatter, JointSignal, Signals
+from equimus_ctrl.preflight.signals import JointSignal, Signals
+from equimus_ctrl.types import Array
 
-Severity = Literal["note", "warning", "stop"]
-"""Good to know; makes answers worse; an answer would mean nothing."""
-Scatter = Sequence[Sequence[JointScatter]]
-"""Of each recording its joints."""
-SEVERITIES: tuple[Severity, ...] = ("stop", "warning", "note")
-"""The worst first."""
 MOST_NAMED = 3
 """So many recordings are named in a sentence."""
 FLATS = 2
 """So often a measurement has to stay at one extreme: once may be a rest."""
-
-
-@dataclass(frozen=True)
-class Finding:
-    """One thing that is to be known of recordings.
-
-    Attributes:
-        severity: see ``Severity``.
-        about: what of them, such as ``clock`` or ``quantisation``.
-        sentence: what, where, how much, and what would be right.
-        recording: the one that it is of; "" where it is of all.
-        channel: the column that it is of; "" where it is of none.
-        value: what was found [SI]; None where no number says it.
-        unit: of the value.
-    """
-
-    severity: Severity
-    about: str
-    sentence: str
-    recording: str = ""
-    channel: str = ""
-    value: float | None = None
-    unit: str = ""
-
-    def as_json(self) -> dict[str, Any]:
-        """As JSON data."""
-        value = None if self.value is None or not math.isfinite(self.value) else self.value
-        return {
-            "severity": self.severity,
-            "about": self.about,
-            "sentence": self.sentence,
-            "recording": self.recording or None,
-            "channel": self.channel or None,
-            "value": value,
-            "unit": self.unit,
-        }
-
-
-def stops(model: Model, scatter: Scatter, limits: CheckLimits = LIMITS) -> list[Finding]:
-    """What makes an answer mean nothing, by signals alone: all motion below the sensors' steps, or within the noise."""
-    return [f for f in [*_steps(model, scatter, limits), *_buried(model, scatter, limits)] if f.severity == "stop"]
-
-
-def too_few(scatter: Scatter, parameters: int) -> list[Finding]:
-    """Fewer new values than parameters to estimate: any model could be fitted to them."""
-    fresh = sum(joint.fresh for own in scatter for joint in own)
-    if fresh > parameters:
-        return []
-    return [
-        Finding(
-            "stop",
-            "samples",
-            f"positions change {fresh} times in all recordings together, too few for {parameters} parameters to "
-            "estimate: any model would fit; record more motion, or free fewer (--free, --fix)",
-            value=float(fresh),
-        )
-    ]
 
 
 def judged(
@@ -96,8 +32,8 @@ def judged(
 ) -> list[Finding]:
     """All that signals say, the worst first."""
     found = [
-        *_steps(model, [own.joints for own in signals], limits),
-        *_buried(model, [own.joints for own in signals], limits),
+        *coarse(model, [own.joints for own in signals], limits),
+        *buried(model, [own.joints for own in signals], limits),
         *_clocks(model, signals, limits),
         *_held(signals, limits),
         *_clipped(model, signals),
@@ -120,95 +56,6 @@ def _joints(signals: Sequence[Signals]) -> Iterator[tuple[str, list[JointSignal]
         yield joint.name, [own.joints[j] for own in signals]
 
 
-def _by_joint(scatter: Scatter) -> Iterator[tuple[str, list[JointScatter]]]:
-    for j, joint in enumerate(scatter[0]):
-        yield joint.name, [own[j] for own in scatter]
-
-
-def _spread(own: Sequence[JointScatter]) -> float:
-    """Standard deviation of a joint's positions in the recording where it moves most [rad or m]."""
-    return max(joint.deviation for joint in own)
-
-
-def _text(reading: Reading, value: float, digits: int = 2) -> str:
-    shown = reading.factor * value
-    return reading(f"{shown:.0f}" if abs(shown) >= 10**digits else f"{shown:.{digits}g}")
-
-
-def _steps(model: Model, scatter: Scatter, limits: CheckLimits) -> list[Finding]:
-    found = list[Finding]()
-    for name, own in _by_joint(scatter):
-        unit, step, spread = display_units.error(model, name), max(joint.step for joint in own), _spread(own)
-        if step == 0 or spread >= limits.coarse * step:
-            continue
-        found.append(
-            Finding(
-                "warning",
-                "quantisation",
-                f"pos.{name} comes in steps of {_text(unit, step, 3)}, more than its motion (standard deviation "
-                f"{_text(unit, spread)}): whatever the model, these steps are what is seen; move it by several steps, or "
-                "use a finer sensor",
-                channel=f"pos.{name}",
-                value=step,
-                unit="m" if model.robot.slides(name) else "rad",
-            )
-        )
-    return _stop_if_all(found, len(scatter[0]))
-
-
-def _stop_if_all(found: list[Finding], joints: int) -> list[Finding]:
-    """One joint of which nothing can be told makes an answer poorer, all of them make it mean nothing."""
-    return [replace(finding, severity="stop") for finding in found] if len(found) == joints else found
-
-
-def _buried(model: Model, scatter: Scatter, limits: CheckLimits) -> list[Finding]:
-    found = list[Finding]()
-    for name, own in _by_joint(scatter):
-        # Noise is part of how far positions scatter.
-        ratio, joint = max(
-            ((math.sqrt(max(j.deviation**2 / j.noise**2 - 1, 0.0)), j) for j in own),
-            key=lambda pair: (pair[0], pair[1].deviation),
-        )
-        if ratio > limits.buried:
-            continue
-        unit = display_units.error(model, name)
-        if all(j.fresh == 0 for j in own):
-            moves = "stays exactly where it is in every recording"
-        else:
-            moves = (
-                f"scatters by {_text(unit, joint.deviation)} (standard deviation) where it moves most, which is its noise "
-                f"of {_text(unit, joint.noise)} and little else"
-            )
-        found.append(
-            Finding(
-                "warning",
-                "noise",
-                f"pos.{name} {moves}: nothing can be told of what moves it; record motion well above the noise",
-                channel=f"pos.{name}",
-                value=ratio,
-            )
-        )
-    return _stop_if_all(found, len(scatter[0]))
-
-
-def backward(name: str, clock: Clock) -> list[Finding]:
-    """Stamps that do not ascend: no time between rows can be believed."""
-    if not clock.backward:
-        return []
-    rows = "1 stamp repeats" if clock.backward == 1 else f"{clock.backward} stamps repeat"
-    return [
-        Finding(
-            "stop",
-            "clock",
-            f"{name}: {rows} the one before or lie before it; times must ascend: drop rows that were written twice, or "
-            "sort them",
-            name,
-            "time",
-            float(clock.backward),
-        )
-    ]
-
-
 def _clocks(model: Model, signals: Sequence[Signals], limits: CheckLimits) -> list[Finding]:
     found = [finding for own in signals for finding in backward(own.name, own.clock)]
     bursts = [own for own in signals if own.clock.bursts > 0]
@@ -216,7 +63,8 @@ def _clocks(model: Model, signals: Sequence[Signals], limits: CheckLimits) -> li
         worst = max(bursts, key=lambda own: own.clock.bursts)
         found.append(
             Finding(
-                "warning", "clock", f"{_named([own.name for own in bursts])}: up to {100 * worst.clock.bursts:.2g} % of the "
+                "warning", "clock", f"{_named([own.name for own in bursts])}: up to {100 * worst.clock.bursts:.2g} "
+                "% of the "
                 f"rows come less than {limits.burst:g} of the usual {1e3 * worst.clock.interval:.3g} ms after the one "
                 "before: stamps seem to say when rows arrived; stamp them where they are measured", worst.name, "time",
                 worst.clock.bursts,
@@ -244,8 +92,10 @@ def _clocks(model: Model, signals: Sequence[Signals], limits: CheckLimits) -> li
         unit = display_units.error(model, joint.name)
         found.append(
             Finding(
-                "note", "clock", f"{own.name}: times between rows scatter by {1e3 * own.clock.jitter:.2g} ms; were stamps "
-                f"wrong by that, pos.{joint.name} would be off by {_text(unit, joint.speed * own.clock.jitter)} at its "
+                "note", "clock", f"{own.name}: times between rows scatter by {1e3 * own.clock.jitter:.2g} ms; were "
+                "stamps "
+                f"wrong by that, pos.{joint.name} would be off by {text_of(unit, joint.speed * own.clock.jitter)} "
+                f"at its "
                 f"usual speed, {ratio:.2g} times its noise: stamps have to be those of the measurement", own.name,
                 f"pos.{joint.name}", own.clock.jitter, "s",
             )
@@ -267,9 +117,10 @@ def _held(signals: Sequence[Signals], limits: CheckLimits) -> list[Finding]:
             Finding(
                 "warning",
                 "clock",
-                f"{_named(names)}: pos.{name} repeats its value in up to {100 * share:.0f} % of the rows in motion, so new "
-                f"ones come about every {1e3 * every * interval:.3g} ms, rows every {1e3 * interval:.3g} ms: two clocks; "
-                "keep only rows with a new value, stamped when it was measured",
+                f"{_named(names)}: pos.{name} repeats its value in up to {100 * share:.0f} % of the rows in motion, "
+                f"so new "
+                f"ones come about every {1e3 * every * interval:.3g} ms, rows every {1e3 * interval:.3g} ms: two "
+                f"clocks; keep only rows with a new value, stamped when it was measured",
                 names[0] if len(names) == 1 else "",
                 f"pos.{name}",
                 share,
@@ -295,9 +146,9 @@ def _clipped(model: Model, signals: Sequence[Signals]) -> list[Finding]:
                 Finding(
                     "warning",
                     "clipping",
-                    f"{_named(names)}: pos.{joint.name} stays exactly at {_text(unit, value, 4)}, which it never passes, "
-                    f"{len(stretches)} times, for up to {longest:.2g} s, and is fast just before: the sensor's range ends "
-                    "there, or a hard stop; cut these times (--window), or give the model the stop",
+                    f"{_named(names)}: pos.{joint.name} stays exactly at {text_of(unit, value, 4)}, which it never "
+                    f"passes, {len(stretches)} times, for up to {longest:.2g} s, and is fast just before: the sensor's "
+                    f"range ends there, or a hard stop; cut these times (--window), or give the model the stop",
                     names[0] if len(names) == 1 else "",
                     f"pos.{joint.name}",
                     value,
@@ -315,7 +166,7 @@ def _commands(model: Model, signals: Sequence[Signals], limits: CheckLimits) -> 
         rows = np.array([s.clock.rows for s in signals], dtype=float)
         unit, column = display_units.command(model, name.name), f"cmd.{name.name}"
 
-        def share(values: Sequence[float], rows: np.ndarray[Any, Any] = rows) -> float:
+        def share(values: Sequence[float], rows: Array = rows) -> float:
             return float(rows @ np.array(values) / rows.sum())
 
         # No command at all, such as no pressure, is a limit where nothing is lost.
@@ -325,17 +176,18 @@ def _commands(model: Model, signals: Sequence[Signals], limits: CheckLimits) -> 
             if of_rows > limits.saturated:
                 found.append(
                     Finding(
-                        "note", "saturation", f"{column} is at its {side} value, {_text(unit, end, 3)}, in "
+                        "note", "saturation", f"{column} is at its {side} value, {text_of(unit, end, 3)}, in "
                         f"{100 * of_rows:.0f} % of the rows: what more would do is not seen there", "", column, of_rows,
                     )
                 )  # fmt: skip
         beyond = share([c.beyond for c in own])
         if beyond > 0:
-            reach = f"{_text(unit, min(c.low for c in own), 3)} to {_text(unit, max(c.high for c in own), 3)}"
+            reach = f"{text_of(unit, min(c.low for c in own), 3)} to {text_of(unit, max(c.high for c in own), 3)}"
             found.append(
                 Finding(
-                    "warning", "saturation", f"{column} goes from {reach}, in {max(100 * beyond, 0.01):.2g} % of the rows "
-                    f"beyond the model's {_text(unit, float(low[k]), 3)} to {_text(unit, float(high[k]), 3)}: a "
+                    "warning", "saturation", f"{column} goes from {reach}, in {max(100 * beyond, 0.01):.2g} % of "
+                    "the rows "
+                    f"beyond the model's {text_of(unit, float(low[k]), 3)} to {text_of(unit, float(high[k]), 3)}: a "
                     "simulation clips it there, which the robot need not do", "", column, beyond,
                 )
             )  # fmt: skip
@@ -345,7 +197,7 @@ def _commands(model: Model, signals: Sequence[Signals], limits: CheckLimits) -> 
                 found.append(
                     Finding(
                         "note", "excitation", f"{column} never changes: nothing of this drive but its force at "
-                        f"{_text(unit, values.pop(), 3)} can be seen; record steps, staircases or sweeps", "", column,
+                        f"{text_of(unit, values.pop(), 3)} can be seen; record steps, staircases or sweeps", "", column,
                     )
                 )  # fmt: skip
     return found
@@ -359,7 +211,8 @@ def _rests(signals: Sequence[Signals]) -> list[Finding]:
             "note",
             "rests",
             "no recording has a rest of a quarter of a second: the noise is estimated from second differences, which "
-            "accelerations make larger, and static friction shows at reversals alone; begin and end each recording at rest",
+            "accelerations make larger, and static friction shows at reversals alone; begin and end each recording "
+            "at rest",
         )
     ]
 
@@ -373,7 +226,8 @@ def _late(latencies: Sequence[Latency], signals: Sequence[Signals]) -> list[Find
                 Finding(
                     "note",
                     "latency",
-                    f"motion begins {1e3 * own.low:.0f} to {1e3 * own.high:.0f} ms after steps of cmd.{own.actuator}, more "
+                    f"motion begins {1e3 * own.low:.0f} to {1e3 * own.high:.0f} ms after steps of "
+                    f"cmd.{own.actuator}, more "
                     "than a row: there is a dead time; diagnose finds how much of it the model lacks",
                     channel=f"cmd.{own.actuator}",
                     value=own.low,
@@ -395,8 +249,8 @@ def _repeats(model: Model, repeats: Sequence[Repeats], limits: CheckLimits) -> l
             found.append(
                 Finding(
                     "warning", "repeats", f"{_named(own.names)} have the same commands, and pos.{joint} differs by "
-                    f"{_text(unit, own.spread[j])} (standard deviation), {ratio:.2g} times its noise ({why}): no one model "
-                    "explains them to the noise", "", f"pos.{joint}", own.spread[j],
+                    f"{text_of(unit, own.spread[j])} (standard deviation), {ratio:.2g} times its noise ({why}): no "
+                    f"one model explains them to the noise", "", f"pos.{joint}", own.spread[j],
                 )
             )  # fmt: skip
     return found
@@ -412,7 +266,8 @@ def _differences(
         found.append(
             Finding(
                 "note", "differences", f"{_named([signals[k].name for k in odd])}: {rates[worst]:.3g} rows a second in "
-                f"{signals[worst].name}, {middle:.3g} in most recordings", signals[worst].name, "time", rates[worst], "Hz",
+                f"{signals[worst].name}, {middle:.3g} in most recordings", signals[worst].name, "time",
+                rates[worst], "Hz",
             )
         )  # fmt: skip
     noisy: dict[int, list[str]] = {}
@@ -422,7 +277,7 @@ def _differences(
         unit = display_units.error(model, name)
         for odd, middle in _odd(values, limits):
             for k in odd:
-                text = f"pos.{name} {_text(unit, values[k])} (elsewhere {_text(unit, middle)})"
+                text = f"pos.{name} {text_of(unit, values[k])} (elsewhere {text_of(unit, middle)})"
                 noisy.setdefault(k, []).append(text)
     for k, texts in noisy.items():
         sentence = f"{signals[k].name}: noise of {', '.join(texts)}"
@@ -432,7 +287,9 @@ def _differences(
         each = []
         for pose in sorted(apart, key=lambda own: -own.difference / own.deviation):
             low, high = (pose.names[int(of(pose.positions))] for of in (np.argmin, np.argmax))
-            each.append(f"pos.{pose.joint} {_text(display_units.error(model, pose.joint), pose.difference)} ({low}, {high})")
+            each.append(
+                f"pos.{pose.joint} {text_of(display_units.error(model, pose.joint), pose.difference)} ({low}, {high})"
+            )
         found.append(
             Finding(
                 "note", "differences", f"before their first commands recordings rest apart, under the same commands: "

@@ -2,13 +2,15 @@
 
 The dead time is at most what passes until motion is first seen beyond the noise: that is the upper bound, whatever the
 robot. How much less it can be depends on how motion begins. Behind a dead time d a joint at rest moves as c·(t − d)ⁿ,
-n = 1 where the command is a speed, 2 where it is a force on a mass, 3 and 4 where a lag or an elastic drive comes between;
+n = 1 where the command is a speed, 2 where it is a force on a mass, 3 and 4 where a lag or an elastic drive comes
+between;
 and it shows the later the higher n is. For each n the d are found whose
 
     χ²(d) = min over c, a   Σ (x − a − c·max(t − d, 0)ⁿ)²/σ²
 
 is within ``FALL`` of the least, all steps of an actuator together, in a window behind the step that ends where motion
-stands out of the noise by ``CLEAR``. The lower bound is the lowest of all n: which n it is nobody knows, and damping makes
+stands out of the noise by ``CLEAR``. The lower bound is the lowest of all n: which n it is nobody knows, and damping
+makes
 high ones look like low ones that begin later.
 """
 
@@ -147,9 +149,7 @@ def _of(recording: Recording, joints: frozenset[str]) -> list[int]:
     return [j for j, name in enumerate(recording.joints) if name in joints]
 
 
-def _onset(
-    time: Array, x: Array, noise: float, first: int, row: int, end: float, limits: CheckLimits
-) -> _Onset | None:
+def _onset(time: Array, x: Array, noise: float, first: int, row: int, end: float, limits: CheckLimits) -> _Onset | None:
     """What was measured of a joint from its rest to clear motion; None where it moves too little until an end."""
     last = int(np.searchsorted(time, end, side="right"))
     # Slow noise, and what is left of an earlier motion, show in the rest before.

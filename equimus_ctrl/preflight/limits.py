@@ -61,22 +61,22 @@ class CheckLimits:
         "theory",
         "of Gaussian signals with a standard deviation of one step or more the quantisation error is white, of "
         "variance q²/12: Widrow & Kollár, Quantization Noise (2008)",
-        where="judgement",
+        where="findings",
     )
     buried: float = decided_by(
         1.0,
         "noise",
-        "standard deviation of a joint's motion, what its positions scatter more than the noise, below which nothing can "
-        "be told of it",
+        "standard deviation of a joint's motion, what its positions scatter more than the noise, below which "
+        "nothing can be told of it",
         "theory",
         "a signal-to-noise ratio of one",
-        where="judgement",
+        where="findings",
     )
     flat: float = decided_by(
         3.0,
         "noise or steps, a row",
-        "speed with which a measurement enters its extreme, to stay exactly there: a clipped sensor or a hard stop, and "
-        "no rest",
+        "speed with which a measurement enters its extreme, to stay exactly there: a clipped sensor or a hard stop, "
+        "and no rest",
         "theory",
         "three standard deviations; a joint that comes to rest slows down before",
         where="signals",
@@ -111,7 +111,8 @@ class CheckLimits:
         "standard deviations",
         "difference of two poses at rest under the same commands from which on zeros, friction or creep differ",
         "theory",
-        "standard deviation of a mean over the samples of a rest, and of the noise if that is correlated over all of it",
+        "standard deviation of a mean over the samples of a rest, and of the noise if that is correlated over all "
+        "of it",
         where="judgement",
     )
 

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from equimus_ctrl.models.model import Model
+from equimus_ctrl.preflight.findings import SEVERITIES, Finding
 from equimus_ctrl.preflight.information import EffectInformation, Information, ParameterInformation
-from equimus_ctrl.preflight.judgement import SEVERITIES, Finding
 from equimus_ctrl.preflight.latency import Latency
 from equimus_ctrl.preflight.runs import Repeats
 from equimus_ctrl.preflight.signals import CommandSignal, JointSignal, Signals
@@ -90,7 +90,9 @@ class Check:
             else [{"weights": own.weights, "correlation": own.correlation} for own in known.trade_offs],
             "effects": [] if known is None else [_effect(own) for own in known.effects],
             "not_done": [] if known is None else list(known.not_done),
-            "intervals": None if known is None else {"looked_at": known.intervals[0], "fitted": known.intervals[1]},
+            "intervals": None
+            if known is None
+            else {"looked_at": known.intervals[0], "fitted": known.intervals[1], "share": known.share},
             "seconds": self.seconds,
         }
 
@@ -153,7 +155,12 @@ def _parameter(own: ParameterInformation) -> dict[str, Any]:
 
 
 def _effect(own: EffectInformation) -> dict[str, Any]:
-    return {**own.smallest.to_dict(), "compares_with": own.scale, "detectable": own.possible}
+    return {
+        **own.smallest.to_dict(),
+        "compares_with": own.scale,
+        "detectable": own.possible,
+        "confounded": own.confounded,
+    }
 
 
 def _finite(value: float) -> float | None:

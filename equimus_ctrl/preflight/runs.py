@@ -69,9 +69,7 @@ def repeats_of(recordings: Sequence[Recording], signals: Sequence[Signals]) -> t
             groups.append([k])
         else:
             own.append(k)
-    return tuple(
-        _spread([recordings[k] for k in g], [signals[k] for k in g]) for g in groups if len(g) > 1
-    )
+    return tuple(_spread([recordings[k] for k in g], [signals[k] for k in g]) for g in groups if len(g) > 1)
 
 
 def _instants(first: Recording, length: float) -> Array:
@@ -98,10 +96,7 @@ def _same(first: Recording, other: Recording, span: Array) -> bool:
 def _spread(recordings: Sequence[Recording], signals: Sequence[Signals]) -> Repeats:
     since = _instants(recordings[0], min(float(r.time[-1] - r.time[0]) for r in recordings))
     moved = np.array(
-        [
-            [np.interp(since, r.time - r.time[0], column) for column in r.position.T]
-            for r in recordings
-        ]
+        [[np.interp(since, r.time - r.time[0], column) for column in r.position.T] for r in recordings]
     )  # (runs, nj, m)
     free = len(recordings) / (len(recordings) - 1)
     away = moved - moved.mean(axis=0)
@@ -126,7 +121,10 @@ def rest_poses(recordings: Sequence[Recording], signals: Sequence[Signals]) -> t
         if recording.before is not None and np.any(np.abs(recording.before - recording.command[0]) > SAME * span):
             continue
         key = tuple(np.round(recording.command[0] / (SAME * span)).tolist())
-        mean, noise = recording.position[:rows].mean(axis=0), np.maximum(recording.position[:rows].std(axis=0), own.noise)
+        mean, noise = (
+            recording.position[:rows].mean(axis=0),
+            np.maximum(recording.position[:rows].std(axis=0), own.noise),
+        )
         found.setdefault(key, []).append((recording.name, mean, noise))
     poses = []
     for own_poses in found.values():

@@ -35,7 +35,8 @@ FAST = 2.0
 LARGE = 4.0
 """Standard deviations of the noise, likewise."""
 MOST_UNEVEN = 2
-"""Between the few and the many rows that a clock of its own holds values for: of a camera at 60 Hz in rows at 97 Hz, 2."""
+"""Between the few and the many rows that a clock of its own holds values for: of a camera at 60 Hz in rows at 97 "
+"Hz, 2."""
 MOST_HELD = 20
 """Rows that a value is held at most; what stays for longer rests."""
 LEAST_MOVING = 50
@@ -249,9 +250,7 @@ def signals_of(recording: Recording, command_range: tuple[Array, Array], limits:
     return Signals(recording.name, clock, joints, commands, rests, resting)
 
 
-def noise_and_rests(
-    clock: Clock, position: Array, steps: Array
-) -> tuple[Array, NDArray[np.bool_], NDArray[np.bool_]]:
+def noise_and_rests(clock: Clock, position: Array, steps: Array) -> tuple[Array, NDArray[np.bool_], NDArray[np.bool_]]:
     """(nj,) the noise of positions (n, nj), (nj,) whether it is that at rest, and (n,) which rows are at rest.
 
     The noise by second differences is too large where the joints accelerate. So rests are looked for by it, the noise
@@ -335,7 +334,8 @@ def _joint(own: JointScatter, time: Array, x: Array, clock: Clock, limits: Check
 def _held(x: Array, step: float, noise: float) -> float:
     """Share of the rows in motion that repeat the value before; 0 where too few are in motion.
 
-    Such rows stand between two that go the same way, by so much that neighbours are alike by no chance. Of a sensor with
+    Such rows stand between two that go the same way, by so much that neighbours are alike by no chance. Of a sensor
+    with
     a clock of its own about as many come each time; where friction holds a joint for a moment, any number do.
     """
     change = np.diff(x)

@@ -89,7 +89,9 @@ def _parameters(axes: Axes, known: Information) -> None:
     axes.set_ylim(len(rows) - 0.4, -0.6)
     left = len(known.parameters) - len(rows)
     title = "Least standard deviation (grey: others known)"
-    style.dress(axes, title=title + (f"; {left} more are known better" if left > 0 else ""), x="[% of the nominal value]")
+    style.dress(
+        axes, title=title + (f"; {left} more are known better" if left > 0 else ""), x="[% of the nominal value]"
+    )
     axes.grid(False, axis="y")
 
 

@@ -12,8 +12,8 @@ from rich.table import Table
 from rich.text import Text
 
 from equimus_ctrl.diagnosis import display_units
-from equimus_ctrl.preflight.information import Information, ParameterInformation
-from equimus_ctrl.preflight.judgement import Severity
+from equimus_ctrl.preflight.findings import Severity
+from equimus_ctrl.preflight.information import EffectInformation, Information, ParameterInformation
 from equimus_ctrl.preflight.result import Check
 from equimus_ctrl.report.diagnosis_text import smallest
 
@@ -59,8 +59,8 @@ def print_check(console: Console, check: Check) -> None:
         console.print(Text("\nSmallest detectable sizes, by which every other such effect would be accepted", "bold"))
     for who, sizes in rows:
         console.print(Padding(Text(f"{who}: {sizes}"), (0, 0, 0, 2)))
-    for text in sentences(known):
-        console.print(Padding(Text(text, style="dim"), (0, 0, 0, 2)))
+    for said in sentences(known):
+        console.print(Padding(Text(said, style="dim"), (0, 0, 0, 2)))
 
 
 def _figures(value: float, digits: int = 2) -> str:
@@ -168,7 +168,10 @@ def parameters_table(known: Information) -> Table:
     more = len(order) - len(shown)
     headings = ("parameter", "nominal", "least standard\ndeviation", "of it", "alone")
     return _table(
-        "Parameters: what an estimate could know at best", headings, rows, f"… {more} more are known better" if more else ""
+        "Parameters: what an estimate could know at best",
+        headings,
+        rows,
+        f"… {more} more are known better" if more else "",
     )
 
 
@@ -177,18 +180,23 @@ def _share(own: ParameterInformation) -> float:
 
 
 def effect_rows(known: Information) -> list[tuple[str, str]]:
-    """(effect and its parameter, sizes by place), those that would not show at any size last."""
-    by_effect: dict[str, list[tuple[bool, str]]] = {}
+    """(effect and its parameter, sizes by place), then where it does not show, and where parameters do the same."""
+    by_effect: dict[str, list[EffectInformation]] = {}
     for own in known.effects:
-        detectable = own.smallest
-        who = f"{detectable.named.effect} ({detectable.parameter})".replace("_", " ")
-        place = detectable.named.locations[0]
-        text = f"{smallest(detectable)} at {place}" if own.possible else f"does not show at {place}"
-        by_effect.setdefault(who, []).append((own.possible, text))
-    return [
-        (who, ", ".join(text for _, text in sorted(texts, key=lambda pair: not pair[0])))
-        for who, texts in sorted(by_effect.items())
-    ]
+        named, parameter = own.smallest.named, own.smallest.parameter
+        by_effect.setdefault(f"{named.effect} ({parameter})".replace("_", " "), []).append(own)
+    rows = []
+    for who, places in sorted(by_effect.items()):
+        parts = [", ".join(f"{smallest(own.smallest)} at {_place(own)}" for own in places if own.possible)]
+        for said, confounded in (("does not show at", False), ("acts like free parameters at", True)):
+            hidden = [_place(own) for own in places if not own.possible and own.confounded is confounded]
+            parts.append(f"{said} {', '.join(hidden)}" if hidden else "")
+        rows.append((who, "; ".join(part for part in parts if part)))
+    return rows
+
+
+def _place(own: EffectInformation) -> str:
+    return own.smallest.named.locations[0]
 
 
 def sentences(known: Information) -> list[str]:
@@ -198,9 +206,10 @@ def sentences(known: Information) -> list[str]:
         "To first order about the nominal model, all parameters estimated along, for a model that explains all else: "
         f"the nominal one is off by {_figures(known.far)} times the noise."
     ]
-    if looked < fitted:
+    if known.share < 1:
         said.append(
-            f"From {looked} of the {fitted} shooting intervals that a diagnosis would fit, as many as the time did for."
+            f"From {100 * known.share:.2g} % of what a diagnosis would fit ({looked} of its {fitted} shooting "
+            f"intervals), as much as the time did for (--budget)."
         )
     if known.not_done:
         names = ", ".join(name.replace("_", " ") for name in known.not_done)

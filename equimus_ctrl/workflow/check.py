@@ -16,8 +16,9 @@ from equimus_ctrl.effects.base import REGISTRY
 from equimus_ctrl.errors import ConfigError, SimulationDiverged, unknown_name
 from equimus_ctrl.models.model import Model, nominal_model
 from equimus_ctrl.options import CheckOptions, DiagnoseOptions, with_changes
+from equimus_ctrl.preflight.findings import SEVERITIES, Finding, too_few
 from equimus_ctrl.preflight.information import Information, information
-from equimus_ctrl.preflight.judgement import SEVERITIES, Finding, judged, too_few
+from equimus_ctrl.preflight.judgement import judged
 from equimus_ctrl.preflight.latency import latencies
 from equimus_ctrl.preflight.result import Check
 from equimus_ctrl.preflight.runs import repeats_of, rest_poses
@@ -46,7 +47,8 @@ def check(
     """What recordings are like, and which parameters and effects they could show at which size.
 
     Clock, dead times, steps and noise of the sensors, clipping, saturation, rests, repeats and differences between runs
-    are read off the recordings; what they determine and could show follows from linear response about the model. Nothing
+    are read off the recordings; what they determine and could show follows from linear response about the model.
+    Nothing
     is fitted.
 
     Args:
@@ -66,7 +68,6 @@ def check(
         if name not in REGISTRY:
             raise ConfigError(unknown_name("effect", name, REGISTRY))
     asked = _as_diagnosed(options)
-    budget = Budget.beginning_now(options.budget)
     given = read_given(recordings, model, asked, Budget())
     trials = [_within(trial, options.window) for trial in given.trials]
     progress("signals", 0.0)
@@ -79,7 +80,7 @@ def check(
     found += _notes(model, given)
     known: Information | None = None
     if not options.quick:
-        known, more = _known(given, asked, signals, budget, progress)
+        known, more = _known(given, asked, signals, options.budget, progress)
         found += more
     found = list({own.sentence: own for own in found}.values())
     found.sort(key=lambda own: SEVERITIES.index(own.severity))
@@ -133,7 +134,7 @@ def _notes(model: Model, given: Given) -> list[Finding]:
 
 
 def _known(
-    given: Given, asked: DiagnoseOptions, signals: Sequence[Signals], budget: Budget, progress: Progress
+    given: Given, asked: DiagnoseOptions, signals: Sequence[Signals], seconds: float, progress: Progress
 ) -> tuple[Information | None, list[Finding]]:
     """What recordings determine and could show; why not, where that cannot be said."""
     try:
@@ -142,8 +143,14 @@ def _known(
         few = too_few([own.joints for own in signals], len(free.free))
         if any(own.about == "excitation" for own in given.stops):
             return None, few
+        budget = Budget.beginning_now(seconds)
         found = information(
-            free, parts, _noise(signals), settings, budget, lambda stage, done: progress(stage, READY + (1 - READY) * done)
+            free,
+            parts,
+            _noise(signals),
+            settings,
+            budget,
+            lambda stage, done: progress(stage, READY + (1 - READY) * done),
         )
     except SimulationDiverged as error:
         return None, [Finding("warning", "model", f"{error}; so nothing is said of what these recordings could show")]
@@ -171,10 +178,9 @@ def _of_model(found: Information) -> list[Finding]:
     if wide:
         told.append(
             Finding(
-                "warning", "excitation", f"hardly identifiable: {', '.join(wide)} will have standard deviations above those "
+                "warning", "excitation", f"hardly identifiable: {', '.join(wide)} will have standard deviations "
+                "above those "
                 "of an even spread over their bounds; record more or faster motion, or keep them fixed (--fix)",
             )
         )  # fmt: skip
     return told
-
-

@@ -21,7 +21,7 @@ from equimus_ctrl.identification.parameters import FreeParameters
 from equimus_ctrl.identification.simulators import Simulator
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.options import DiagnoseOptions
-from equimus_ctrl.preflight.judgement import Finding, backward, stops, too_few
+from equimus_ctrl.preflight.findings import Finding, backward, stops, too_few
 from equimus_ctrl.preflight.signals import Clock, JointScatter, scatter_of
 from equimus_ctrl.types import Recording
 from equimus_ctrl.workflow.groups import by_folder, check_enough, check_fitted
@@ -81,7 +81,7 @@ def read_given(recordings: Some, model: Model, options: DiagnoseOptions, budget:
 def meaningless(
     model: Model, trials: Sequence[Recording], scatter: Sequence[Sequence[JointScatter]]
 ) -> Iterator[Finding]:
-    """Why a diagnosis of trials means nothing: other units, signs or order, no motion, or none above steps and noise."""
+    """Why a diagnosis of trials means nothing: other units, signs or order, or no motion above steps and noise."""
     try:
         preflight.check(model, trials)
     except ConfigError as error:
@@ -149,7 +149,10 @@ def prepared(
         *told_before,
         *preflight.left_out_at_first(trials, parts, options.window),
         *((told(gains),) if gains else ()),
-        *(f"Gone on with all the same, as was asked (--anyway): {finding.sentence}" for finding in (*given.stops, *few)),
+        *(
+            f"Gone on with all the same, as was asked (--anyway): {finding.sentence}"
+            for finding in (*given.stops, *few)
+        ),
     )
     settings = DiagnosisSettings(
         search, options.threads, options.engine, tuple(options.exclude), options.budget, notes=notes
