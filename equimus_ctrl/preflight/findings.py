@@ -11,7 +11,7 @@ from equimus_ctrl.diagnosis import display_units
 from equimus_ctrl.diagnosis.display_units import Reading
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.preflight.limits import LIMITS, CheckLimits
-from equimus_ctrl.preflight.signals import Clock, JointScatter
+from equimus_ctrl.preflight.scatter import Clock, JointScatter
 
 Severity = Literal["note", "warning", "stop"]
 """Good to know; makes answers worse; an answer would mean nothing."""

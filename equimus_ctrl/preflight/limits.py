@@ -26,7 +26,7 @@ class CheckLimits:
         "a time between rows from which on rows are missing",
         "convention",
         "jitter of an interval is a share of it; with five missing rows a joint may have moved and come back unseen",
-        where="signals",
+        where="scatter",
     )
     burst: float = decided_by(
         0.1,
@@ -34,7 +34,7 @@ class CheckLimits:
         "a time between rows below which stamps say when rows arrived, not when they were measured",
         "convention",
         "no sensor with a rate of its own is ten times as fast for one sample",
-        where="signals",
+        where="judgement scatter",
     )
     jitter: float = decided_by(
         1.0,
@@ -74,9 +74,9 @@ class CheckLimits:
     )
     flat: float = decided_by(
         3.0,
-        "noise or steps, a row",
-        "speed with which a measurement enters its extreme, to stay exactly there: a clipped sensor or a hard stop, "
-        "and no rest",
+        "noise or steps",
+        "motion that a measurement hides at its extreme, and speed in steps a row with which it enters there where "
+        "steps are larger than the noise: a clipped sensor or a hard stop, and no rest",
         "theory",
         "three standard deviations; a joint that comes to rest slows down before",
         where="signals",

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.preflight.findings import SEVERITIES, Finding
@@ -13,14 +13,11 @@ from equimus_ctrl.preflight.latency import Latency
 from equimus_ctrl.preflight.runs import Repeats
 from equimus_ctrl.preflight.signals import CommandSignal, JointSignal, Signals
 
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
 SCHEMA = "equimus-ctrl/check/1"
 
 
 @dataclass(frozen=True, eq=False)
-class Check:
+class CheckResult:
     """What recordings are like, and what they could show of a model.
 
     Attributes:
@@ -49,12 +46,6 @@ class Check:
     def of(self, severity: str) -> tuple[Finding, ...]:
         """The findings of a severity."""
         return tuple(finding for finding in self.findings if finding.severity == severity)
-
-    def figure(self) -> Figure:
-        """Travel, noise and steps of the joints, and what these recordings determine and could show."""
-        from equimus_ctrl.report.check_figure import check_figure
-
-        return check_figure(self)
 
     def __repr__(self) -> str:
         counts = ", ".join(f"{len(self.of(s))} {s}{'s' * (len(self.of(s)) != 1)}" for s in SEVERITIES)

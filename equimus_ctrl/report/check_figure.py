@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from equimus_ctrl.preflight.information import EffectInformation, Information
-from equimus_ctrl.preflight.result import Check
+from equimus_ctrl.preflight.result import CheckResult
 from equimus_ctrl.report import style
 
 ROW = 0.24
@@ -20,7 +20,7 @@ MOST_PARAMETERS = 24
 """Parameters drawn, the least certain ones."""
 
 
-def check_figure(check: Check) -> Figure:
+def check_figure(check: CheckResult) -> Figure:
     """Panels side by side: signals, parameters, effects; without linear response the first alone."""
     known = check.information
     joints = len(check.model.robot.joint_names)
@@ -41,7 +41,7 @@ def check_figure(check: Check) -> Figure:
     return figure
 
 
-def _signals(axes: Axes, check: Check) -> list[Artist]:
+def _signals(axes: Axes, check: CheckResult) -> list[Artist]:
     """Travel, noise and step of each joint, largest over the recordings, on one logarithmic scale."""
     names = check.model.robot.joint_names
     kinds = (("travel", "o", style.INK), ("noise", "D", style.joint_colour(0)), ("sensor step", "|", style.ALERT))

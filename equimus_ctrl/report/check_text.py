@@ -14,7 +14,7 @@ from rich.text import Text
 from equimus_ctrl.diagnosis import display_units
 from equimus_ctrl.preflight.findings import Severity
 from equimus_ctrl.preflight.information import EffectInformation, Information, ParameterInformation
-from equimus_ctrl.preflight.result import Check
+from equimus_ctrl.preflight.result import CheckResult
 from equimus_ctrl.report.diagnosis_text import smallest
 
 if TYPE_CHECKING:
@@ -26,7 +26,7 @@ MOST_RECORDINGS, MOST_PARAMETERS, MOST_TRADE_OFFS = 8, 14, 4
 NONE = "–"
 
 
-def headline(check: Check) -> str:
+def headline(check: CheckResult) -> str:
     """What comes of it, in a sentence."""
     count = len(check.signals)
     whole = f"{count} recording{'s' * (count != 1)} with {check.model.name}"
@@ -37,7 +37,7 @@ def headline(check: Check) -> str:
     return f"{whole}: nothing keeps a diagnosis from meaning something ({said})"
 
 
-def print_check(console: Console, check: Check) -> None:
+def print_check(console: Console, check: CheckResult) -> None:
     """A check for a terminal."""
     console.print(Text(headline(check), style="bold red" if check.stops else "bold"))
     for finding in check.findings:
@@ -80,7 +80,7 @@ def _table(title: str, headings: Sequence[str], rows: Iterable[Sequence[str]], m
     return table
 
 
-def recordings_table(check: Check) -> Table:
+def recordings_table(check: CheckResult) -> Table:
     """When the rows of each recording came, and how long it rests."""
     shown = check.signals if len(check.signals) <= MOST_RECORDINGS + 2 else check.signals[:MOST_RECORDINGS]
     rows = [
@@ -100,7 +100,7 @@ def recordings_table(check: Check) -> Table:
     return _table("Recordings", headings, rows, f"… {more} more" if more else "")
 
 
-def joints_table(check: Check) -> Table:
+def joints_table(check: CheckResult) -> Table:
     """What all recordings show of each joint."""
     rows = []
     for j, name in enumerate(check.model.robot.joint_names):
@@ -124,7 +124,7 @@ def joints_table(check: Check) -> Table:
     return _table("Joints, over all recordings", headings, rows)
 
 
-def actuators_table(check: Check) -> Table:
+def actuators_table(check: CheckResult) -> Table:
     """What was commanded, and how late joints move after steps."""
     rows = []
     total = sum(own.clock.rows for own in check.signals)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -20,7 +20,7 @@ from equimus_ctrl.preflight.findings import SEVERITIES, Finding, too_few
 from equimus_ctrl.preflight.information import Information, information
 from equimus_ctrl.preflight.judgement import judged
 from equimus_ctrl.preflight.latency import latencies
-from equimus_ctrl.preflight.result import Check
+from equimus_ctrl.preflight.result import CheckResult
 from equimus_ctrl.preflight.runs import repeats_of, rest_poses
 from equimus_ctrl.preflight.signals import Signals, signals_of
 from equimus_ctrl.types import Array, Recording
@@ -28,12 +28,25 @@ from equimus_ctrl.workflow.identify import with_file
 from equimus_ctrl.workflow.prepared import Given, prepared, read_given
 
 if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
     from equimus_ctrl.options import Some
 
 Progress = Callable[[str, float], None]
 """Called with the stage, and the share of the whole that is done."""
 SIGNALS_DONE, READY = 0.05, 0.2
 """Share of the whole that is done when signals are known, and when trials are held out."""
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Check(CheckResult):
+    """What recordings are like, and what they could show of a model; see ``CheckResult``."""
+
+    def figure(self) -> Figure:
+        """Travel, noise and steps of the joints, and what these recordings determine and could show."""
+        from equimus_ctrl.report.check_figure import check_figure
+
+        return check_figure(self)
 
 
 def check(

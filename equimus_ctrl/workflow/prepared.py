@@ -22,7 +22,7 @@ from equimus_ctrl.identification.simulators import Simulator
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.options import DiagnoseOptions
 from equimus_ctrl.preflight.findings import Finding, backward, stops, too_few
-from equimus_ctrl.preflight.signals import Clock, JointScatter, scatter_of
+from equimus_ctrl.preflight.scatter import Clock, JointScatter, scatter_of
 from equimus_ctrl.types import Recording
 from equimus_ctrl.workflow.groups import by_folder, check_enough, check_fitted
 from equimus_ctrl.workflow.identify import choose, marked, simulator_of
