@@ -175,9 +175,10 @@ def test_six_joints_fit_into_eighty_columns() -> None:
 
 
 def spoilt(name: str) -> list[Recording]:
+    step = 2.0 * max(float(r.position.std()) for r in runs())
     change = {
         "noise alone": lambda r: np.random.default_rng(1).normal(0, 1e-3, r.position.shape),
-        "coarse": lambda r: np.round(r.position / 4.0) * 4.0,
+        "coarse": lambda r: np.round(r.position / step) * step,
         "still": lambda r: 0 * r.position,
     }[name]
     return [replace(r, position=change(r)) for r in runs()]

@@ -16,6 +16,10 @@ from equimus_ctrl.report import style
 
 ROW = 0.24
 """Height of a row [inch]."""
+LABELS = 3.0
+"""Height of a panel's title and labels [rows]."""
+MARKERS = ("o", "s", "^", "D")
+"""Of places, once there are more than colours."""
 MOST_PARAMETERS = 24
 """Parameters drawn, the least certain ones."""
 
@@ -31,9 +35,11 @@ def check_figure(check: CheckResult) -> Figure:
         return figure
     effects = _by_effect(known)
     parameters = min(len(known.parameters), MOST_PARAMETERS)
-    rows = max(len(effects), parameters + 2 * joints + 6)
-    figure = style.new_figure(12.0, 1.8 + ROW * rows, f"What {len(check.signals)} recordings could show")
-    grid = figure.add_gridspec(2, 2, height_ratios=[max(2 * joints, 3), max(parameters, 3)], width_ratios=[1, 1.1])
+    left = [joints + LABELS, parameters + LABELS]
+    rows = max(len(effects) + 1.0, sum(left))
+    figure = style.new_figure(12.0, 1.6 + ROW * rows, f"What {len(check.signals)} recordings could show")
+    # What is left of the column stays empty: rows are as high on both sides.
+    grid = figure.add_gridspec(3, 2, height_ratios=[*left, max(rows - sum(left), 1e-3)], width_ratios=[1, 1.1])
     handles = _signals(figure.add_subplot(grid[0, 0]), check)
     _parameters(figure.add_subplot(grid[1, 0]), known)
     places = _effects(figure.add_subplot(grid[:, 1]), effects)
@@ -87,10 +93,10 @@ def _parameters(axes: Axes, known: Information) -> None:
     axes.set_xlim(100 * low / 2, 100 * high * 2)
     axes.set_yticks(range(len(rows)), [name for *_, name in rows])
     axes.set_ylim(len(rows) - 0.4, -0.6)
-    left = len(known.parameters) - len(rows)
+    more = len(known.parameters) - len(rows)
     title = "Least standard deviation (grey: others known)"
     style.dress(
-        axes, title=title + (f"; {left} more are known better" if left > 0 else ""), x="[% of the nominal value]"
+        axes, title=title + (f"; {more} more are known better" if more > 0 else ""), x="[% of the nominal value]"
     )
     axes.grid(False, axis="y")
 
@@ -117,10 +123,12 @@ def _effects(axes: Axes, effects: dict[str, list[EffectInformation]]) -> list[Ar
     for k, rows in enumerate(effects.values()):
         shown = [own for own in rows if own.possible and own.share > 0]
         if not shown:
-            axes.text(low, k, "does not show", va="center", fontsize=style.SMALL_SIZE, color=style.FAINT)
+            said = "acts like free parameters" if any(own.confounded for own in rows) else "does not show"
+            axes.text(low, k, said, va="center", fontsize=style.SMALL_SIZE, color=style.FAINT)
         for own in shown:
             place = places.index(own.smallest.named.locations[0])
-            axes.plot(own.share, k, "o", color=colours[place % len(colours)], markersize=6, alpha=0.9, zorder=3)
+            colour, marker = colours[place % len(colours)], MARKERS[place // len(colours) % len(MARKERS)]
+            axes.plot(own.share, k, marker, color=colour, markersize=6, alpha=0.9, zorder=3)
     axes.set_xscale("log")
     axes.set_xlim(low / 2, max(2 * high, 4 * low))
     axes.set_yticks(np.arange(len(effects)), [name.replace("_", " ") for name in effects])
@@ -129,6 +137,14 @@ def _effects(axes: Axes, effects: dict[str, list[EffectInformation]]) -> list[Ar
         axes, title="Smallest detectable size of effects", x="share of the largest force, travel or time of the motion"
     )
     return [
-        Line2D([], [], linestyle="", marker="o", color=colours[k % len(colours)], markersize=6, label=place)
+        Line2D(
+            [],
+            [],
+            linestyle="",
+            marker=MARKERS[k // len(colours) % len(MARKERS)],
+            color=colours[k % len(colours)],
+            markersize=6,
+            label=place,
+        )
         for k, place in enumerate(places)
     ]

@@ -161,12 +161,11 @@ def parameters_table(known: Information) -> Table:
             f"{own.value:.4g} {own.unit}".removesuffix(" 1"),
             "not identifiable" if math.isinf(own.deviation) else f"{own.deviation:.2g}",
             NONE if math.isinf(own.deviation) or not own.value else f"{100 * _share(own):.2g} %",
-            NONE if math.isinf(own.alone) else f"{own.alone:.2g}",
         )
         for own in shown
     ]
     more = len(order) - len(shown)
-    headings = ("parameter", "nominal", "least standard\ndeviation", "of it", "alone")
+    headings = ("parameter", "nominal", "least standard\ndeviation", "of it")
     return _table(
         "Parameters: what an estimate could know at best",
         headings,
