@@ -77,6 +77,7 @@ from .models.model import Model as Model, nominal_model as nominal_model
 from .models.symbolic import symbolic_model as symbolic_model
 from .options import (
     AutotuneOptions as AutotuneOptions,
+    CheckOptions as CheckOptions,
     CompareOptions as CompareOptions,
     DiagnoseOptions as DiagnoseOptions,
     ExportOptions as ExportOptions,
@@ -140,6 +141,7 @@ from .types import (
     Start as Start,
 )
 from .workflow import (
+    check as check,
     compare as compare,
     diagnose_recordings as diagnose_recordings,
     export_model as export_model,

@@ -25,6 +25,7 @@ ORDER: tuple[tuple[str, ...], ...] = (
     ("loop", "emulation"),
     ("testing",),
     ("tuning", "identification", "diagnosis", "validation", "proof"),
+    ("preflight",),
     ("report",),
     ("options",),
     ("workflow",),

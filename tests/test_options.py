@@ -11,7 +11,7 @@ import pytest
 import typer
 
 from equimus_ctrl import workflow
-from equimus_ctrl.cli import autotune, compare, diagnose, export, identify, prove, score, sensitivity, validate
+from equimus_ctrl.cli import autotune, check, compare, diagnose, export, identify, prove, score, sensitivity, validate
 from equimus_ctrl.cli.main import app, main
 from equimus_ctrl.cli.model_choice import ModelChoice
 from equimus_ctrl.cli.options import filled
@@ -20,6 +20,7 @@ from equimus_ctrl.errors import ConfigError, EquimusError
 from equimus_ctrl.options import (
     KINDS,
     AutotuneOptions,
+    CheckOptions,
     CompareOptions,
     DiagnoseOptions,
     ExportOptions,
@@ -39,6 +40,7 @@ from equimus_ctrl.workflow import validate as validating
 VERBS: dict[str, tuple[Any, type[Any], Any, str, list[str]]] = {
     "autotune": (autotune.autotune, AutotuneOptions, workflow, "autotune", ["lqr"]),
     "autotune-pid": (autotune.autotune_pid, AutotuneOptions, workflow, "autotune", []),
+    "check": (check.check, CheckOptions, workflow, "check", ["trials"]),
     "compare": (compare.compare, CompareOptions, workflow, "compare", ["hold"]),
     "diagnose": (diagnose.diagnose, DiagnoseOptions, workflow, "diagnose_recordings", ["trials"]),
     "export": (export.export, ExportOptions, workflow, "export_model", []),
@@ -53,6 +55,7 @@ LIBRARY_ONLY = {("identify", "settings")}
 """Fields that are too much for a command line."""
 EXAMPLES: dict[str, tuple[str, Any]] = {
     "also": ("--also vel.* --also site.tip.x", ["vel.*", "site.tip.x"]),
+    "anyway": ("--anyway", True),
     "baselines": ("--no-baselines", False),
     "bounds": ("--bound a=1,2 --bound b=-1e-3,0", {"a": (1.0, 2.0), "b": (-1e-3, 0.0)}),
     "budget": ("--budget 60", 60.0),

@@ -58,7 +58,7 @@ def test_what_is_held_out_tells_nothing_of_what_is_free(monkeypatch: pytest.Monk
         asked.append(segments)
         raise Seen
 
-    monkeypatch.setattr(importlib.import_module("equimus_ctrl.workflow.diagnose"), "servo_gains", seen)
+    monkeypatch.setattr(importlib.import_module("equimus_ctrl.workflow.prepared"), "servo_gains", seen)
     trials = [*recorded(model(), count=8), replace(recorded(model(), count=1)[0], name="slow")]
     with pytest.raises(Seen):
         workflow.diagnose_recordings(trials, model())

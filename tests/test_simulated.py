@@ -11,8 +11,7 @@ from pendulum_runs import MOTOR, PENDULUM
 
 from equimus_ctrl import workflow
 from equimus_ctrl.diagnosis import simulated as simulated_module
-from equimus_ctrl.diagnosis.diagnose import DiagnosisSettings
-from equimus_ctrl.diagnosis.diagnose import _with_default_engine as with_default_engine
+from equimus_ctrl.diagnosis.diagnose import DiagnosisSettings, with_default_engine
 from equimus_ctrl.diagnosis.holdout import split
 from equimus_ctrl.diagnosis.hypothesis import default_free_parameters
 from equimus_ctrl.diagnosis.results import Diagnosis

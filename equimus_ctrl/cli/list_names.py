@@ -46,7 +46,7 @@ def list_names(
     force: Force = False,
     as_json: Json = False,
 ) -> None:
-    """List scenarios, controllers, plants, effects, models, parameters of a model, or thresholds of a diagnosis.
+    """List scenarios, controllers, plants, effects, models, parameters of a model, or thresholds of diagnose and check.
 
     \b
     [bold]Examples[/bold]
@@ -147,21 +147,24 @@ def _rows(kind: Kind) -> list[dict[str, Any]]:
 
 def _thresholds() -> list[dict[str, Any]]:
     from equimus_ctrl.diagnosis.policy import Thresholds
+    from equimus_ctrl.preflight.limits import CheckLimits
 
+    asked = [("diagnosis", t.name, t) for t in Thresholds.listed()]
+    asked += [("preflight", f"check.{t.name}", t) for t in CheckLimits.listed()]
     return [
         {
-            "name": t.name,
+            "name": name,
             "summary": f"{t.value:g} {t.unit}".rstrip() + f": {t.meaning}",
-            "parameters": {"origin": f"{t.origin.basis}: {t.origin.why}", "asked by": _asked_by(t.where)},
+            "parameters": {"origin": f"{t.origin.basis}: {t.origin.why}", "asked by": _asked_by(folder, t.where)},
             "value": t.value,
             "unit": t.unit,
         }
-        for t in Thresholds.listed()
+        for folder, name, t in asked
     ]
 
 
-def _asked_by(modules: Sequence[str]) -> str:
-    return "asked by " + ", ".join(f"diagnosis/{module}.py" for module in modules)
+def _asked_by(folder: str, modules: Sequence[str]) -> str:
+    return "asked by " + ", ".join(f"{folder}/{module}.py" for module in modules)
 
 
 def _whose(robots: tuple[str, ...]) -> str:

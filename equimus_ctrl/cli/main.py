@@ -12,6 +12,7 @@ import typer
 
 from equimus_ctrl.cli import (
     autotune,
+    check,
     compare,
     diagnose,
     emulate,
@@ -52,6 +53,7 @@ app.command("export")(export.export)
 app.command("score")(score.score)
 app.command("validate")(validate.validate)
 app.command("identify")(identify.identify)
+app.command("check")(check.check)
 app.command("diagnose")(diagnose.diagnose)
 app.command("prove")(prove.prove)
 app.command("sensitivity")(sensitivity.sensitivity)

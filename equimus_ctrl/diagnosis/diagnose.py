@@ -83,7 +83,7 @@ def diagnose_within(
     _check(settings)
     with threadpool_limits(limits=1, user_api="blas"):  # sums in another order would change the last bits
         if simulator is None:
-            data = _with_default_engine(free, split, settings)
+            data = with_default_engine(free, split, settings)
         else:
             data = _with_engine_given(free, split, simulator)
         data = replace(data, budget=budget, thresholds=settings.thresholds)
@@ -98,7 +98,7 @@ def _check(settings: DiagnosisSettings) -> None:
             raise ConfigError(unknown_name("effect", name, REGISTRY))
 
 
-def _with_default_engine(free: FreeParameters, split: Split, settings: DiagnosisSettings) -> Data:
+def with_default_engine(free: FreeParameters, split: Split, settings: DiagnosisSettings) -> Data:
     """What is fitted, with the engine for the model, and a coarser and a finer one beside it where there are."""
     # Of held-out trials too, which it has to be able to simulate: that looks at poses, and at no error.
     positions = [s.poses for s in (*split.train, *split.validation, *split.test)]

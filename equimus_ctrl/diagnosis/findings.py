@@ -328,20 +328,32 @@ def ranking(search: Search, end: SearchState) -> tuple[Ranked, ...]:
 
 
 def detectable(search: Search, end: SearchState) -> tuple[Detectable, ...]:
-    """The smallest size of each effect that would have been accepted.
+    """The smallest size of each effect that would have been accepted, see ``smallest_sizes``."""
+    return smallest_sizes(search.data.free.model, end.tried.first, search.threshold)
+
+
+def smallest_sizes(
+    model: Model, screened: Sequence[Screened], threshold: Callable[[int], float]
+) -> tuple[Detectable, ...]:
+    """The smallest size of each effect that would be accepted, to first order.
 
     χ² of its change beyond the free parameters, ``Screened.strength``, grows with the square of the size. So from the
     guess of size a whose strength s is nearest to the acceptance threshold the smallest size is a·√(threshold/s). Of an
     effect without a size it is the weakest guess that would be accepted; nan where none would.
+
+    Args:
+        model: at whose places the effects are.
+        screened: each candidate alone.
+        threshold: acceptance threshold of an effect with so many parameters.
     """
     smallest = []
-    for s in end.tried.first:
+    for s in screened:
         if s.candidate.each or s.candidate.absent:  # of which each place, and all groups, are candidates by themselves
             continue
-        size = _smallest(s, search.threshold(s.candidate.n_parameters))
+        size = _smallest(s, threshold(s.candidate.n_parameters))
         key = next(iter(s.candidate.effect.parameter_info()))
         unit = s.candidate.effect.parameter_info()[key]["unit"]
-        unit_there = place_unit(search.data.free.model, unit, s.candidate.locations[0])
+        unit_there = place_unit(model, unit, s.candidate.locations[0])
         named = named_candidate(s.candidate)
         smallest.append(Detectable(named, key, size, unit_there))
     return tuple(smallest)

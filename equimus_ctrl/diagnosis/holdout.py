@@ -154,13 +154,14 @@ def _every_so_manieth(fitted: Sequence[int], unseen: frozenset[int], test: bool)
     return Holdout(every - later, later, before - later)
 
 
-def check(model: Model, recordings: Sequence[Recording]) -> None:
+def check(model: Model, recordings: Sequence[Recording], still: bool = False) -> None:
     """Raise ConfigError where recordings cannot be diagnosed."""
     if not recordings:
         raise ConfigError("no recording was given to diagnose")
     for recording in recordings:
         _check_samples(recording, model.robot.traits.most_angle)
-    _check_motion(model, recordings)
+    if not still and (problem := motion_problem(model, recordings)):
+        raise ConfigError(problem)
 
 
 def _check_samples(r: Recording, most_angle: float) -> None:
@@ -182,13 +183,13 @@ def _check_samples(r: Recording, most_angle: float) -> None:
         )
 
 
-def _check_motion(model: Model, recordings: Sequence[Recording]) -> None:
-    """Raise ConfigError where no command moves, or a joint does not."""
+def motion_problem(model: Model, recordings: Sequence[Recording]) -> str:
+    """What is wrong where no command moves, or a joint does not; an empty string where all do."""
     traits, first = model.robot.traits, recordings[0]
     moved = np.max([np.ptp(np.vstack([r.command, r.command_before]), axis=0) for r in recordings], axis=0)
     if moved.max(initial=0.0) < traits.least_command:
         unit = model.robot.command_unit(first.actuators[int(moved.argmax())])
-        raise ConfigError(
+        return (
             f"the commands never move: they change by at most {moved.max():.3g} {unit} in any trial, expected at least "
             f"{traits.least_command:g} {unit}; record steps, staircases or sweeps"
         )
@@ -197,10 +198,11 @@ def _check_motion(model: Model, recordings: Sequence[Recording]) -> None:
     for name, span in zip(first.joints, map(float, spans), strict=True):
         if span < traits.least_motion:
             unit = place_unit(model, "rad", name)
-            raise ConfigError(
+            return (
                 f"joint {name} never moves: it stays within {span:.2g} {unit} in all trials, expected at least "
                 f"{traits.least_motion:g} {unit} (columns: {', '.join(names)})"
             )
+    return ""
 
 
 def split(
@@ -215,6 +217,7 @@ def split(
     simulator: Callable[[], Simulator] | None = None,
     groups: Sequence[str] = (),
     heldout: Holdout | None = None,
+    still: bool = False,
 ) -> Split:
     """Decide which trials are fitted, which are for validation and which for the test.
 
@@ -230,13 +233,14 @@ def split(
         simulator: makes the one that follows it there, once the recordings are checked.
         groups: of each recording the group that it belongs to, such as a unit of the robot; none by default.
         heldout: what is held out, in the place of what these patterns and ``until`` say.
+        still: whether joints and commands may never move.
 
     Raises:
         ConfigError: where recordings cannot be used, a pattern fits none, the window is none, ``until`` or ``heldout``
             leaves nothing to judge by, or nothing is left to fit.
     """
     until, given = (until, False) if heldout is None else (None, True)
-    heldout = _checked_holdout(model, recordings, validation, test, until, window, groups, heldout)
+    heldout = _checked_holdout(model, recordings, validation, test, until, window, groups, heldout, still)
     short = not model.robot.traits.held_in_place
     if short:
         long = _too_long(recordings, heldout, until, window)
@@ -269,11 +273,12 @@ def _checked_holdout(
     window: tuple[float, float] | None,
     groups: Sequence[str],
     given: Holdout | None,
+    still: bool,
 ) -> Holdout:
     """Which trials are held out, see ``split``; ConfigError where that cannot be."""
     for r in recordings:
         check_columns(model, r)
-    check(model, recordings)
+    check(model, recordings, still)
     if window is not None and not window[0] < window[1]:
         raise ConfigError(f"the window goes from {window[0]:g} to {window[1]:g} s, expected the earlier time first")
     if given is not None:
@@ -294,6 +299,7 @@ def never_held_out(
     window: tuple[float, float] | None = None,
     groups: Sequence[str] = (),
     heldout: Holdout | None = None,
+    still: bool = False,
 ) -> list[Segment]:
     """What ``split`` fits whichever trials are held out, uncut: for what decides on the model before there is a split.
 
@@ -309,12 +315,13 @@ def never_held_out(
         window: the same [s].
         groups: the same.
         heldout: the same.
+        still: the same.
 
     Raises:
         ConfigError: where recordings cannot be used, a pattern fits none, or the window is none.
     """
     until = until if heldout is None else None
-    heldout = _checked_holdout(model, recordings, validation, test, until, window, groups, heldout)
+    heldout = _checked_holdout(model, recordings, validation, test, until, window, groups, heldout, still)
     found: list[Segment] = []
     for k, r in enumerate(recordings):
         if k in heldout.validation | heldout.test | heldout.other:

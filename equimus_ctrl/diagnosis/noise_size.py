@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from equimus_ctrl.diagnosis.fitting import Data, Fitted
-from equimus_ctrl.identification.noise import LEAST, LEAST_STEPS, SAME, largest_noise, resolution
+from equimus_ctrl.identification.noise import LEAST, largest_noise, step_of
 from equimus_ctrl.types import Array
 
 
@@ -27,17 +27,10 @@ def noise_sizes(data: Data, fitted: Fitted) -> Array:
     thresholds = data.thresholds
     largest = largest_noise(data.times, fitted.fit.residuals, thresholds.noise_bound, thresholds.longest_noise)
     measured = np.concatenate([segment.outputs for segment in data.segments])
-    steps = np.array([_step(column) for column in measured.T])
+    steps = np.array([step_of(column) for column in measured.T])
     estimated = np.array([own.sigma for own in fitted.noise])
     allowed = np.where(steps < math.inf, np.maximum(largest, LEAST), math.inf)
     least = np.where(steps < math.inf, steps / math.sqrt(12), 0.0)
     if data.least_noise is not None:
         least = np.maximum(least, data.least_noise)
     return np.asarray(np.maximum(np.minimum(estimated, allowed), least))
-
-
-def _step(values: Array) -> float:
-    """In which measured values come; of few values the least difference, inf of a single one: it says nothing."""
-    few = np.diff(np.unique(values))
-    few = few[few > SAME * np.abs(values).max(initial=1e-300)]
-    return resolution(values) if len(few) >= LEAST_STEPS else float(few.min(initial=math.inf))

@@ -66,6 +66,7 @@ class Screened:
         gains: by how much χ² would fall.
         tried: the guesses that could be added.
         strength: for each of them χ² of its orthogonal component, by the noise estimated.
+        whole: likewise χ² of all that it changes; None where nobody asked for strengths alone.
     """
 
     candidate: Candidate
@@ -74,6 +75,7 @@ class Screened:
     gains: ScreenedGains
     tried: tuple[Mapping[str, float], ...]
     strength: Array
+    whole: Array | None = None
 
     def begins(self, data: Data, fitted: Fitted, many_minima: bool) -> list[Array]:
         """(p,) each, θ to first order; beside other parts also part of the way there from no effect of the last one.
@@ -182,6 +184,32 @@ def screen(data: Data, fitted: Fitted, pool: Sequence[Candidate]) -> list[Screen
             of_it = sorted(evaluated[candidate], key=lambda guess: guess.index)
             screened.append(_selected(responses, candidate, [replacements.get(g.index, g) for g in of_it]))
     return screened
+
+
+def screen_strengths(data: Data, fitted: Fitted, pool: Sequence[Candidate]) -> list[Screened]:
+    """The same for what candidates change, whatever the residuals: their strengths alone are what they say.
+
+    The strength of a guess that the parameters nearly cancel is that with these moved along, as a fit would move them.
+
+    Raises:
+        BudgetSpent: where the budget ends.
+    """
+    guesses = _initial_guesses(data, fitted, pool)
+    if not guesses:
+        return []
+    responses = _responses(data, fitted, guesses)
+    evaluated = _evaluated(responses)
+    moved = _strengths_at_changed_parameters(responses, evaluated)
+    whole, found = (responses.columns[ESTIMATED] ** 2).sum(axis=0), []
+    for candidate in pool:
+        if candidate in evaluated:
+            of_it = sorted(evaluated[candidate], key=lambda guess: guess.index)
+            own = [
+                replace(g, strengths=(g.strengths[WHITE], moved.get(g.index, g.strengths[ESTIMATED]))) for g in of_it
+            ]
+            screened = _selected(responses, candidate, own)
+            found.append(replace(screened, whole=whole[[guess.index for guess in own]]))
+    return found
 
 
 def _initial_guesses(data: Data, fitted: Fitted, pool: Sequence[Candidate]) -> list[Hypothesis]:
@@ -359,6 +387,40 @@ def _rescreened_at_changed_parameters(
         if not (chosen := again):
             break
     return replacements
+
+
+def _strengths_at_changed_parameters(
+    responses: _Responses, evaluated: Mapping[Candidate, Sequence[_Guess]]
+) -> dict[int, float]:
+    """By their index, of guesses that the parameters nearly cancel, χ² of what is left once these are moved along.
+
+    θ ← θ − S⁺c, c of what both change, by the Jacobian S at the fit (chord method), LOOKS times; the least counts.
+    """
+    data, fitted = responses.data, responses.fitted
+    base, scale = len(data.free.free), fitted.fit.parameters.scale[: len(data.free.free)]
+    whitened, columns = responses.whitened_fits[ESTIMATED], responses.columns[ESTIMATED]
+    size = (columns**2).sum(axis=0)
+    chosen = [
+        guess
+        for guesses in evaluated.values()
+        for guess in guesses
+        if len(guess.kept) >= base and _nearly_cancelled(data, float(size[guess.index]), guess.strengths[ESTIMATED])
+    ]
+    if not chosen:
+        return {}
+    inverse = np.linalg.pinv(whitened.slopes[:, :base], rcond=STRONG)
+    spans = {kept: Nuisance.of(whitened.slopes[:, list(kept)]) for kept in {guess.kept for guess in chosen}}
+    changed = columns[:, [guess.index for guess in chosen]]
+    thetas = [fitted.fit.theta[:base]] * len(chosen)
+    found = {guess.index: guess.strengths[ESTIMATED] for guess in chosen}
+    for _ in range(LOOKS):
+        thetas = [data.free.moved(t, -(inverse @ c) * scale) for t, c in zip(thetas, changed.T, strict=True)]
+        hypotheses = [responses.guesses[guess.index] for guess in chosen]
+        changed = whitened.columns(data.times, _changes(data, fitted, responses.reference, hypotheses, thetas))
+        for k, guess in enumerate(chosen):
+            left = spans[guess.kept].squares_beyond(changed[:, k])
+            found[guess.index] = min(found[guess.index], left)
+    return found
 
 
 @dataclass(frozen=True, eq=False)

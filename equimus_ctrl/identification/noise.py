@@ -175,6 +175,13 @@ def resolution(values: Array) -> float:
     return step if even.mean() > WHOLE_STEPS else 0.0
 
 
+def step_of(values: Array) -> float:
+    """In which measured values come; of few values the least difference, inf of a single one: it says nothing."""
+    few = np.diff(np.unique(values))
+    few = few[few > SAME * np.abs(values).max(initial=1e-300)]
+    return resolution(values) if len(few) >= LEAST_STEPS else float(few.min(initial=math.inf))
+
+
 def largest_noise(times: Sequence[Array], residuals: Sequence[Array], level: float, longest: float = LONGEST) -> Array:
     """(nj + ne,) the largest standard deviation that noise in residual series can have; inf if they are too short.
 

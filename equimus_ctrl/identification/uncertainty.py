@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.special import stdtrit
 
 from equimus_ctrl.identification.projection import Nuisance
@@ -106,6 +107,45 @@ def correlation_time(residuals: Sequence[Array]) -> float:
     return time
 
 
+@dataclass(frozen=True, eq=False)
+class Identifiable:
+    """What a Jacobian says of parameters, whatever the residuals.
+
+    Attributes:
+        inverse: (p, p) (JᵀJ)⁻¹ in scaled parameters, of the directions that are seen.
+        hidden: (p,) whether a parameter belongs to a direction without any effect.
+        correlation: (p, p); nan where a parameter is not identifiable.
+        trade_offs: strongest first.
+    """
+
+    inverse: Array
+    hidden: NDArray[np.bool_]
+    correlation: Array
+    trade_offs: tuple[TradeOff, ...]
+
+
+def identifiable(jacobian: Array, names: Sequence[str], scale: Array, values: Array) -> Identifiable:
+    """Which parameters, and which combinations of them, change predictions.
+
+    Args:
+        jacobian: (N, p) of the predictions by scaled parameters, the starts of the segments projected out.
+        names: of the parameters.
+        scale: (p,) sizes of changes that count [unit of each parameter].
+        values: (p,) at which the derivatives are [unit of each parameter].
+    """
+    _, strength, directions = np.linalg.svd(jacobian, full_matrices=False)
+    strongest = strength[0] if len(strength) else 0.0
+    seen = strength > UNSEEN * strongest if strongest > 0 else np.zeros(len(strength), dtype=bool)
+    blind = _sparse(directions[~seen])
+    inverse = (directions[seen].T / strength[seen] ** 2) @ directions[seen]
+    # Parameters that some unseen direction touches.
+    hidden = np.any(np.abs(blind) > INVOLVED, axis=0) if len(blind) else np.zeros(len(names), dtype=bool)
+    bread = np.sqrt(np.maximum(np.diag(inverse), 1e-300))
+    correlation = np.where(hidden[:, None] | hidden[None, :], np.nan, inverse / np.outer(bread, bread))
+    trade_offs = tuple(_trade_offs(names, scale, values, blind, inverse, correlation))
+    return Identifiable(inverse, hidden, correlation, trade_offs)
+
+
 def uncertainty(
     jacobians: Sequence[Array],
     residuals: Sequence[Array],
@@ -133,15 +173,11 @@ def uncertainty(
     """
     p = len(names)
     projected = [_without(j * scale, n) for j, n in zip(jacobians, nuisances, strict=True)]
-    stacked = np.concatenate([j.reshape(-1, p) for j in projected])
+    known = identifiable(np.concatenate([j.reshape(-1, p) for j in projected]), names, scale, values)
+    inverse = known.inverse
     time = correlation_time(residuals)
     samples = sum(r.size for r in residuals)
     effective = samples / time
-    _, strength, directions = np.linalg.svd(stacked, full_matrices=False)
-    strongest = strength[0] if len(strength) else 0.0
-    seen = strength > UNSEEN * strongest if strongest > 0 else np.zeros(len(strength), dtype=bool)
-    blind = _sparse(directions[~seen])
-    inverse = (directions[seen].T / strength[seen] ** 2) @ directions[seen]
     lags = int(np.ceil(KERNEL * time)) if time > 1 else 0
     meat = np.zeros((p, p))
     for j, r in zip(projected, residuals, strict=True):
@@ -152,23 +188,18 @@ def uncertainty(
             meat += (1 - lag / (lags + 1)) * (cross + cross.T)
     started = sum(n.shape[2] for n in nuisances)
     freedom = effective - p - started / time
-    hidden = (
-        np.any(np.abs(blind) > INVOLVED, axis=0) if len(blind) else np.zeros(p, dtype=bool)
-    )  # parameters that some unseen direction touches
     if freedom < 1:
         error = np.full(p, np.inf)
         t = np.inf
     else:
         covariance = inverse @ meat @ inverse * (effective / freedom)
-        error = np.where(hidden, np.inf, np.sqrt(np.maximum(np.diag(covariance), 0.0)) * scale)
+        error = np.where(known.hidden, np.inf, np.sqrt(np.maximum(np.diag(covariance), 0.0)) * scale)
         t = float(stdtrit(freedom, 0.5 + confidence / 2))
-    bread = np.sqrt(np.maximum(np.diag(inverse), 1e-300))
-    correlation = np.where(hidden[:, None] | hidden[None, :], np.nan, inverse / np.outer(bread, bread))
     return Uncertainty(
         error,
         np.where(np.isinf(error), np.inf, t * error),
-        correlation,
-        tuple(_trade_offs(names, scale, values, blind, inverse, correlation)),
+        known.correlation,
+        known.trade_offs,
         effective,
     )
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from equimus_ctrl.options.autotune import AutotuneOptions
+from equimus_ctrl.options.check import CheckOptions
 from equimus_ctrl.options.compare import CompareOptions
 from equimus_ctrl.options.diagnose import DiagnoseOptions
 from equimus_ctrl.options.export import ExportOptions
@@ -31,6 +32,7 @@ __all__ = [
     "NAMES",
     "SPAN",
     "AutotuneOptions",
+    "CheckOptions",
     "CompareOptions",
     "DiagnoseOptions",
     "ExportOptions",

@@ -65,6 +65,7 @@ class DiagnoseOptions:
             found for all, with what differs between them; None where all are alike.
         splits: how many random halves of the trials are diagnosed, too; see ``diagnosis.random_splits``.
         seed: of the random halves.
+        anyway: whether it goes on where an answer would mean nothing, see ``preflight``.
 
     Raises:
         ConfigError: for a value that cannot be.
@@ -132,6 +133,9 @@ class DiagnoseOptions:
         metavar="COUNT",
     )
     seed: int = option(0, int, "Of the random halves.")
+    anyway: bool = option(
+        False, bool, "Go on where the recordings cannot give an answer that means anything, see check.", "--anyway"
+    )
 
     def __post_init__(self) -> None:
         """Check the values."""

@@ -1,4 +1,5 @@
 # What `equimus_ctrl.workflow` offers; read at run time too, so this list is the only one.
+from .check import check as check
 from .comparisons import compare as compare
 from .diagnose import diagnose_recordings as diagnose_recordings
 from .exports import (

@@ -30,7 +30,7 @@ from equimus_ctrl.identification.simulators import Simulator
 from equimus_ctrl.identification.statics import fit_static, pose_residuals, static_names
 from equimus_ctrl.identification.step_error import with_step_error
 from equimus_ctrl.models.model import Model, nominal_model
-from equimus_ctrl.options import DiagnoseOptions, IdentifyOptions, SensitivityOptions, with_changes
+from equimus_ctrl.options import CheckOptions, DiagnoseOptions, IdentifyOptions, SensitivityOptions, with_changes
 from equimus_ctrl.recordings import StaticPoses, checks, read_static_poses
 from equimus_ctrl.recordings.sheet import header_of
 from equimus_ctrl.recordings.upstream import STATIC_POSES, kind
@@ -105,7 +105,7 @@ def with_free_zeros(trials: Sequence[Recording], joints: Sequence[str]) -> list[
     return marked
 
 
-Free = TypeVar("Free", DiagnoseOptions, IdentifyOptions)
+Free = TypeVar("Free", CheckOptions, DiagnoseOptions, IdentifyOptions)
 
 
 def marked(model: Model, trials: Sequence[Recording], options: DiagnoseOptions | IdentifyOptions) -> list[Recording]:
