@@ -10,7 +10,7 @@ from itertools import islice
 from typing import Any, Protocol, TypeVar
 
 from equimus_ctrl.errors import EquimusError, one_line
-from equimus_ctrl.executors.calls import Call, Ended, Unfit, opened
+from equimus_ctrl.executors.calls import Call, Ended, Gone, Unfit, opened
 
 T = TypeVar("T")
 Prepare = Callable[[], object]
@@ -51,7 +51,8 @@ class Executor(ABC):
     def _give(self, call: Call) -> Future[bytes]:
         """Hand a piece over; it is given again where its worker is lost. Its future can be cancelled.
 
-        The future raises ``Ended`` where the process that did it ended, and ``Unfit`` where none can do it.
+        The future raises ``Ended`` where the process that did it ended, ``Unfit`` where none can do it, ``Gone`` where
+        nothing is there any more to do it.
         """
 
     def submit(self, work: Callable[..., T], /, *args: Any) -> Future[T]:
@@ -76,11 +77,12 @@ class Executor(ABC):
 
         Raises:
             Unfit: where no process can do such work.
+            Gone: where nothing is there any more to do it.
         """
         for index, future in self._done(work, tasks, True):
             try:
                 yield index, future.result()
-            except (Unfit, CancelledError):
+            except (Unfit, Gone, CancelledError):
                 raise
             except Ended as error:
                 yield index, error

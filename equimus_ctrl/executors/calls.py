@@ -27,6 +27,10 @@ class Unfit(NotAvailable):
     """A process that cannot do this work, whichever piece of it: another version, or what it needs is not there."""
 
 
+class Gone(NotAvailable):
+    """What was to do the work is not there any more."""
+
+
 class Ended(EquimusError):
     """A process ended before its piece of work was done; the message says how."""
 

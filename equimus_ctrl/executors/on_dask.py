@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Any
 
 from equimus_ctrl.errors import NotAvailable, one_line
 from equimus_ctrl.executors.base import Executor, Prepare
-from equimus_ctrl.executors.calls import Call, Ended, failed
+from equimus_ctrl.executors.calls import Call, Ended, Gone, failed
 from equimus_ctrl.executors.child import Child
 from equimus_ctrl.executors.versions import mismatch, versions
 
@@ -82,7 +82,9 @@ def _told(given: Future[bytes]) -> Future[bytes]:
         except KilledWorker as error:
             told.set_exception(Ended(f"took {error.allowed_failures + 1} workers with it, one after the other"))
         except CancelledError:
-            told.set_exception(NotAvailable("the Dask scheduler is gone, or it has dropped this work"))
+            told.set_exception(
+                Gone("the Dask scheduler is gone, or it has dropped this work; the same command goes on from here")
+            )
         except BaseException as error:
             told.set_exception(error)
 
@@ -100,16 +102,14 @@ def on_dask(address: str, prepare: Prepare | None = None) -> Iterator[OnDask]:
         prepare: see ``Prepare``.
 
     Raises:
-        NotAvailable: where Dask is not installed, no scheduler or no worker answers, one of them has another version of
-            the program, Python or a library, or the scheduler goes away while it works.
+        NotAvailable: where Dask is not installed, no scheduler or no worker answers, or a worker has another version of
+            the program, Python or a library; ``Gone`` where the scheduler goes away while it works.
     """
     client = _client(address)
     executor = OnDask(client, prepare)
     try:
         _look_at(client, address)
         yield executor
-    except CancelledError:
-        raise NotAvailable(f"{address}: the scheduler is gone, or it has dropped this work") from None
     finally:
         executor.close()
 

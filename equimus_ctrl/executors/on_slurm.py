@@ -15,9 +15,10 @@ from __future__ import annotations
 import itertools
 import pickle
 import shutil
+import sys
 import threading
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import Future, InvalidStateError
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
@@ -26,13 +27,15 @@ from typing import Any
 
 from equimus_ctrl.errors import ConfigError, NotAvailable, one_line, unknown_name
 from equimus_ctrl.executors.base import Executor, Prepare
-from equimus_ctrl.executors.calls import Call, Ended, failed
+from equimus_ctrl.executors.calls import Call, Ended, Gone, failed
 from equimus_ctrl.executors.child import Child
 
 ATTEMPTS = 4
 """At most, of one piece; so many jobs in a row may end, too, before any more is done."""
 LOOKED_EVERY, SHOWN_EVERY = 0.2, 5.0
 """How often a folder is looked at, and how often jobs are, and the client shows that it is there [s]."""
+LEAVES_WITHIN = 10.0
+"""A job whose client is gone, before it is cancelled [s]."""
 GONE_AFTER = 120.0
 """What the client has not shown for so long, it never will [s]."""
 OWN = {"cluster": "slurm", "jobs": 1, "workers": 1}
@@ -139,7 +142,7 @@ class OnSlurm(Executor):
         self._numbers = itertools.count()
         self._given: dict[int, tuple[Future[bytes], int]] = {}
         self._jobs: list[Any] = []
-        self._lost_in_a_row = 0
+        self._lost_in_a_row, self._failed = 0, False
         self._lock, self._over = threading.Lock(), threading.Event()
         self._show()
         self._looking = threading.Thread(target=self._look, daemon=True)
@@ -176,10 +179,10 @@ class OnSlurm(Executor):
                     last = time.monotonic()
                     self._show()
                     self._look_after_jobs()
-            except NotAvailable as error:
+            except Gone as error:
                 self._fail(error)
             except Exception as error:
-                self._fail(NotAvailable(one_line(f"{self._folder}: {error}")))
+                self._fail(Gone(one_line(f"{self._folder}: {error}")))
 
     def _take(self) -> None:
         for path in sorted((self._folder / "done").iterdir()):
@@ -206,14 +209,17 @@ class OnSlurm(Executor):
             self._lost_in_a_row += 1
             self._give_again(str(job.job_id))
             if self._lost_in_a_row > ATTEMPTS:
-                raise NotAvailable(f"{self._lost_in_a_row} jobs in a row ended before any work was done; {_last(job)}")
+                raise Gone(f"{self._lost_in_a_row} jobs in a row ended before any work was done; {_last(job)}")
         if (missing := wanted - len(self._jobs)) > 0:
             self._submit(missing)
 
     def _submit(self, count: int) -> None:
         # One array in place of many jobs.
         with self._submitter.batch():
-            jobs = [self._submitter.submit(_job, self._folder.resolve(), self._settings.workers) for _ in range(count)]
+            jobs = [
+                self._submitter.submit(_job, self._folder.resolve(), self._settings.workers, list(sys.path))
+                for _ in range(count)
+            ]
         self._jobs += jobs
 
     def _give_again(self, job: str) -> None:
@@ -231,7 +237,8 @@ class OnSlurm(Executor):
                 path.unlink(missing_ok=True)
                 self._tell(number, failed(Ended(f"took {ATTEMPTS} jobs with it, one after the other")))
 
-    def _fail(self, error: NotAvailable) -> None:
+    def _fail(self, error: Gone) -> None:
+        self._failed = True
         with self._lock:
             given, self._given = list(self._given.values()), {}
         for future, _ in given:
@@ -239,18 +246,28 @@ class OnSlurm(Executor):
                 future.set_exception(error)
 
     def close(self) -> None:
-        """End all jobs, and take the folder away."""
+        """End all jobs, and take the folder away, which stays where they have failed: their logs are in it."""
         self._over.set()
         self._looking.join()
-        (self._folder / "client").unlink(missing_ok=True)  # where jobs run, they end by themselves
-        until = time.monotonic() + SHOWN_EVERY
-        while time.monotonic() < until and not all(job.done(force_check=True) for job in self._jobs):
-            time.sleep(LOOKED_EVERY)
+        (self._folder / "client").unlink(missing_ok=True)  # which ends those that run
         for job in self._jobs:
-            if not job.done(force_check=True):
-                with suppress(Exception):  # it may have ended meanwhile
-                    job.cancel(check=False)
-        shutil.rmtree(self._folder, ignore_errors=True)
+            if job.state != "RUNNING":
+                _cancel(job)
+        if not self._ended(LEAVES_WITHIN):
+            for job in self._jobs:
+                _cancel(job)
+            self._ended(LEAVES_WITHIN)
+        if not self._failed:
+            shutil.rmtree(self._folder, ignore_errors=True)
+
+    def _ended(self, seconds: float) -> bool:
+        """Whether all jobs have ended before so long."""
+        until = time.monotonic() + seconds
+        while not all(job.done(force_check=True) for job in self._jobs):
+            if time.monotonic() > until:
+                return False
+            time.sleep(LOOKED_EVERY)
+        return True
 
 
 @contextmanager
@@ -279,6 +296,11 @@ def _submitter(settings: SlurmSettings) -> Any:
     return submitter
 
 
+def _cancel(job: Any) -> None:
+    with suppress(Exception):  # it may have ended meanwhile
+        job.cancel(check=False)
+
+
 def _last(job: Any) -> str:
     """What a job said last."""
     lines = [line for line in (job.stderr() or "").splitlines() if line.strip()]
@@ -303,8 +325,9 @@ def _write(path: Path, data: bytes) -> None:
 # --- in a job
 
 
-def _job(folder: Path, workers: int) -> None:
-    """Take pieces and do them, until the client is gone."""
+def _job(folder: Path, workers: int, path: Sequence[str]) -> None:
+    """Take pieces and do them, until the client is gone; modules are found where it finds them, see ``sys.path``."""
+    sys.path += [place for place in path if place not in sys.path]
     own = folder / "doing" / str(_submitit().JobEnvironment().job_id)
     own.mkdir(parents=True, exist_ok=True)
     over = threading.Event()
