@@ -116,7 +116,7 @@ def cluster() -> Iterator[Any]:
         yield own
 
 
-@pytest.fixture(params=["local", "dask", "slurm"])
+@pytest.fixture(params=["local", "dask", pytest.param("slurm", marks=pytest.mark.slow)])
 def opened_executor(request: pytest.FixtureRequest, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Open:
     """Opens two workers of each kind."""
     if request.param == "local":
@@ -232,6 +232,7 @@ def _parent(pid: int) -> int:
         return int(file.read().rpartition(")")[2].split()[1])
 
 
+@pytest.mark.slow
 def test_a_lost_job_s_work_is_done_by_another(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("submitit")
     monkeypatch.setattr(on_slurm, "SHOWN_EVERY", 0.5)
@@ -253,6 +254,7 @@ def test_a_lost_job_s_work_is_done_by_another(tmp_path: Path, monkeypatch: pytes
     assert not settings.folder.exists()
 
 
+@pytest.mark.slow
 def test_jobs_that_all_end_are_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("submitit")
     monkeypatch.setattr(on_slurm, "SHOWN_EVERY", 0.3)
@@ -263,6 +265,7 @@ def test_jobs_that_all_end_are_told(tmp_path: Path, monkeypatch: pytest.MonkeyPa
         list(pool.each(square, [(1.0,), (2.0,)]))
 
 
+@pytest.mark.slow
 def test_a_scheduler_that_goes_away_is_told(tmp_path: Path) -> None:
     distributed = pytest.importorskip("distributed")
     own = distributed.LocalCluster(n_workers=1, threads_per_worker=1, processes=True, dashboard_address=":0")
