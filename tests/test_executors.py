@@ -174,7 +174,7 @@ def test_what_nobody_wants_any_more_is_ended(opened_executor: Open, tmp_path: Pa
             other.start()
             pids = [int(path.name) for path in within(60, lambda: list((tmp_path / "begun").iterdir()))]
         else:
-            future = pool._give(Call.of(stays, (tmp_path / "begun",), None, True))
+            future = pool._give(pool._call(stays, (tmp_path / "begun",), True))
             pids = [int(path.name) for path in within(60, lambda: list((tmp_path / "begun").iterdir()))]
             future.cancel()
             within(30, lambda: not any(map(alive, pids)))
@@ -216,6 +216,23 @@ def test_a_lost_dask_worker_s_work_is_done_by_another(cluster: Any, tmp_path: Pa
         assert done == {k: 10 * k for k in range(6)}
     cluster.scheduler  # noqa: B018 – it is still there
     within(30, lambda: len(list(_workers(cluster))) == 2)
+
+
+def kills_its_worker(index: int) -> int:
+    if index == 0:
+        os.kill(os.getppid(), signal.SIGKILL)
+        time.sleep(600)
+    return index
+
+
+@pytest.mark.slow
+def test_what_takes_every_worker_with_it_is_left_out() -> None:
+    distributed = pytest.importorskip("distributed")
+    own = distributed.LocalCluster(n_workers=2, threads_per_worker=1, processes=True, dashboard_address=":0")
+    with own, Where(scheduler=own.scheduler_address).opened() as pool:
+        done = dict(pool.each_apart(kills_its_worker, [(k,) for k in range(3)]))
+    assert str(done[0]) == "took 4 workers with it, one after the other"
+    assert (done[1], done[2]) == (1, 2)
 
 
 def _workers(cluster: Any) -> list[tuple[dict[str, Any], int]]:
@@ -315,7 +332,7 @@ def test_workers_of_another_version_are_refused(cluster: Any, monkeypatch: pytes
 
 
 def test_a_piece_of_another_version_is_not_done() -> None:
-    call = Call.of(square, (2.0,), None, True)
+    call = Call.of(square, (2.0,), made_by=versions())
     assert opened(perform(call)) == 4.0
     other = replace(call, made_by={**versions(), "equimus_ctrl": "0.0.1"})
     with pytest.raises(Unfit, match=r"there is equimus_ctrl 0\.1\.0 \(.*\), not 0\.0\.1; the same has to be installed"):
@@ -376,8 +393,8 @@ def test_one_place_is_said() -> None:
 
 def test_a_process_that_was_ended_says_so_and_is_gone() -> None:
     child = Child()
-    assert opened(child.do(Call.of(square, (3.0,), None, False))) == 9.0
+    assert opened(child.do(Call.of(square, (3.0,)))) == 9.0
     child.end()
     with pytest.raises(Ended, match=r"was ended from outside \(SIGKILL\)"):
-        child.do(Call.of(square, (3.0,), None, False))
+        child.do(Call.of(square, (3.0,)))
     child.end()

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from concurrent.futures import FIRST_COMPLETED, CancelledError, Future, InvalidStateError, wait
 from contextlib import suppress
 from itertools import islice
@@ -11,6 +11,7 @@ from typing import Any, Protocol, TypeVar
 
 from equimus_ctrl.errors import EquimusError, one_line
 from equimus_ctrl.executors.calls import Call, Ended, Gone, Unfit, opened
+from equimus_ctrl.executors.versions import versions
 
 T = TypeVar("T")
 Prepare = Callable[[], object]
@@ -55,9 +56,17 @@ class Executor(ABC):
         nothing is there any more to do it.
         """
 
+    @property
+    def _required(self) -> Mapping[str, str]:
+        """Versions that whoever does a piece has to have."""
+        return versions()
+
+    def _call(self, work: Callable[..., Any], args: tuple[Any, ...], apart: bool) -> Call:
+        return Call.of(work, args, self._prepare, apart, self._required)
+
     def submit(self, work: Callable[..., T], /, *args: Any) -> Future[T]:
         """Begin a piece of work; processes that do it may have done others before."""
-        return _opened(self._give(Call.of(work, args, self._prepare, False)))
+        return _opened(self._give(self._call(work, args, False)))
 
     def each(self, work: Callable[..., T], tasks: Iterable[tuple[Any, ...]]) -> Iterator[tuple[int, T]]:
         """Call a function with each task's arguments.
@@ -99,7 +108,7 @@ class Executor(ABC):
         try:
             while True:
                 for index, task in islice(left, max(AHEAD * self.count - len(waiting), 0)):
-                    waiting[_opened(self._give(Call.of(work, task, self._prepare, apart)))] = index
+                    waiting[_opened(self._give(self._call(work, task, apart)))] = index
                 if not waiting:
                     return
                 for future in wait(waiting, return_when=FIRST_COMPLETED).done:

@@ -44,22 +44,27 @@ class Call:
         args: its arguments, pickled.
         prepare: what a process has to do first, pickled.
         apart: whether a process of its own does it, which has done nothing before.
-        made_by: versions where it comes from.
+        made_by: versions where it comes from, which whoever does it has to have.
     """
 
     work: bytes
     args: bytes
     prepare: bytes | None = None
     apart: bool = False
-    made_by: Mapping[str, str] = field(default_factory=versions)
+    made_by: Mapping[str, str] = field(default_factory=dict)
 
     @classmethod
     def of(
-        cls, work: Callable[..., Any], args: tuple[Any, ...], prepare: Callable[[], object] | None, apart: bool
+        cls,
+        work: Callable[..., Any],
+        args: tuple[Any, ...],
+        prepare: Callable[[], object] | None = None,
+        apart: bool = False,
+        made_by: Mapping[str, str] | None = None,
     ) -> Call:
         """Of a function and arguments that can be pickled."""
         before = None if prepare is None else cloudpickle.dumps(prepare)
-        return cls(cloudpickle.dumps(work), cloudpickle.dumps(args), before, apart)
+        return cls(cloudpickle.dumps(work), cloudpickle.dumps(args), before, apart, made_by or {})
 
     @property
     def digest(self) -> str:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
 from typing import Any, TypeVar
@@ -28,6 +28,11 @@ class OnThisComputer(Executor):
     @property
     def count(self) -> int:
         return self._pool.count
+
+    @property
+    def _required(self) -> Mapping[str, str]:
+        """None: a file that is edited meanwhile is not to end hours of work; who keeps answers notes what they are of."""
+        return {}
 
     def submit(self, work: Callable[..., T], /, *args: Any) -> Future[T]:
         return self._pool.submit(work, *args)

@@ -25,5 +25,5 @@ def where_of(workers: int | None = None, scheduler: str | None = None, slurm: Pa
         return Where(workers, scheduler)
     table = presets.read_toml(slurm)
     slurm_settings(table, slurm.parent, presets.shown(slurm))  # before a folder is made
-    folder = outputs.new_folder(slurm.absolute().parent / f"{slurm.stem}-jobs")
+    folder = outputs.new_folder(slurm.absolute().parent / f"{slurm.stem}-spool")
     return Where(workers, scheduler, slurm_settings(table, folder, presets.shown(slurm)))
