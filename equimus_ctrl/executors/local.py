@@ -31,7 +31,7 @@ class OnThisComputer(Executor):
 
     @property
     def _required(self) -> Mapping[str, str]:
-        """None: a file that is edited meanwhile is not to end hours of work; who keeps answers notes what they are of."""
+        """None: a file that is edited meanwhile is not to end hours of work; answers say what they were made by."""
         return {}
 
     def submit(self, work: Callable[..., T], /, *args: Any) -> Future[T]:
