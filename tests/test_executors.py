@@ -65,9 +65,9 @@ def begun_and_waits(index: int, folder: Path, begun: int) -> int:
     return 10 * index
 
 
-def stays(folder: Path) -> None:
+def stays(folder: Path, seconds: float) -> None:
     (folder / str(os.getpid())).touch()
-    time.sleep(600)
+    time.sleep(seconds)
 
 
 prepared: list[int] = []
@@ -166,19 +166,15 @@ def test_what_no_process_can_do_is_told_at_once(opened_executor: Open) -> None:
 
 
 def test_what_nobody_wants_any_more_is_ended(opened_executor: Open, tmp_path: Path) -> None:
-    (tmp_path / "begun").mkdir()
+    begun = tmp_path / "begun"
+    begun.mkdir()
     with opened_executor() as pool:
-        waiting = pool.each_apart(stays, [(tmp_path / "begun",)] * 4)
-        other = threading.Thread(target=lambda: list(waiting), daemon=True)
-        if pool.__class__.__name__ == "OnThisComputer":  # its generator runs in one thread
-            other.start()
-            pids = [int(path.name) for path in within(60, lambda: list((tmp_path / "begun").iterdir()))]
-        else:
-            future = pool._give(pool._call(stays, (tmp_path / "begun",), True))
-            pids = [int(path.name) for path in within(60, lambda: list((tmp_path / "begun").iterdir()))]
-            future.cancel()
-            within(30, lambda: not any(map(alive, pids)))
-    within(30, lambda: not any(map(alive, pids)))
+        done = pool.each_apart(stays, [(begun, 0.0), (begun, 600.0), (begun, 600.0)])
+        assert next(done) == (0, None)
+        within(60, lambda: len(list(begun.iterdir())) > 1)
+        done.close()
+        within(30, lambda: not any(alive(int(path.name)) for path in begun.iterdir()))
+        assert dict(pool.each_apart(square, [(2.0,), (3.0,)])) == {0: 4.0, 1: 9.0}
 
 
 def test_pieces_are_made_when_they_are_needed(opened_executor: Open) -> None:
