@@ -15,6 +15,7 @@ from _peers import ControlLqr, DoMpc, Judo
 import equimus_ctrl as eq
 from equimus_ctrl import presets
 from equimus_ctrl.controllers.custom import as_controller
+from equimus_ctrl.executors.where import Where
 from equimus_ctrl.models.spread import groups, latin_hypercube, perturbed
 from equimus_ctrl.robots.mjcf.editing import Edits
 from equimus_ctrl.tuning.autotune import NothingFeasible
@@ -310,7 +311,7 @@ def tuned(
     scenarios = [load_scenario(own.scenario, model.robot, search=False) for own in study.objectives]
     problem = make_plant_problem(study, model, scenarios)
     try:
-        found = tune_on_plant(study, problem, RowJournal(Memory()), workers=1).settings
+        found = tune_on_plant(study, problem, RowJournal(Memory()), where=Where(workers=1)).settings
     except NothingFeasible:
         found = problem.first
     settings = eq.PidSettings.from_dict(found.to_dict())

@@ -85,6 +85,7 @@ from .options import (
     ProveOptions as ProveOptions,
     ScoreOptions as ScoreOptions,
     SensitivityOptions as SensitivityOptions,
+    Shard as Shard,
     ValidateOptions as ValidateOptions,
 )
 from .plants.events import Load as Load, PointForce as PointForce, Push as Push

@@ -7,17 +7,15 @@ import signal
 import sys
 import threading
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import BrokenExecutor, Future, ThreadPoolExecutor, as_completed
 from concurrent.futures import wait as wait_for
 from contextlib import contextmanager
 from functools import cache, lru_cache
 from multiprocessing import resource_tracker
-from multiprocessing.connection import wait
 from typing import Any, ParamSpec, TypeVar
 
 import loky
-from loky.backend.process import LokyProcess
 from threadpoolctl import threadpool_limits
 
 from equimus_ctrl.errors import ConfigError, NotAvailable
@@ -29,6 +27,9 @@ U = TypeVar("U")
 ONE_THREAD = {f"{library}_THREADS": "1" for library in ("OMP_NUM", "OPENBLAS_NUM", "MKL_NUM", "VECLIB_MAXIMUM")}
 """Environment in which linear algebra has one thread: the processors are busy with other processes."""
 
+
+LOSSES = 2
+"""How many times in a row processes may be ended from outside before any more of their work is done."""
 
 M_TRIM_THRESHOLD, M_MMAP_MAX, M_ARENA_MAX = -1, -4, -8
 """Parameters of mallopt(3), by the numbers that glibc's malloc.h gives them."""
@@ -85,8 +86,9 @@ class Workers:
         count: how many work.
     """
 
-    def __init__(self, pool: loky.ProcessPoolExecutor | None = None, count: int = 1) -> None:
-        self._pool = pool
+    def __init__(self, make: Callable[[], loky.ProcessPoolExecutor] | None = None, count: int = 1) -> None:
+        self._make = make
+        self._pool = None if make is None else make()
         self.count = count
 
     def start(self, work: Callable[P, T], *args: P.args, **kwargs: P.kwargs) -> Callable[[], T]:
@@ -96,31 +98,61 @@ class Workers:
         """
         if self._pool is None:
             return cache(lambda: _alone(work, *args, **kwargs))
-        return self._submit(work, *args, **kwargs).result
+        return self.submit(work, *args, **kwargs).result
 
-    def each(self, work: Callable[..., T], tasks: Sequence[tuple[Any, ...]]) -> Iterator[tuple[int, T]]:
-        """Call a function with each task's arguments.
+    def submit(self, work: Callable[P, T], *args: P.args, **kwargs: P.kwargs) -> Future[T]:
+        """The same as a future, done already where this is the only worker."""
+        if self._pool is not None:
+            with _deaf():
+                given: Future[T] = self._pool.submit(work, *args, **kwargs)
+            return given
+        future: Future[T] = Future()
+        try:
+            future.set_result(_alone(work, *args, **kwargs))
+        except Exception as error:
+            future.set_exception(error)
+        return future
+
+    def each(self, work: Callable[..., T], tasks: Iterable[tuple[Any, ...]]) -> Iterator[tuple[int, T]]:
+        """Call a function with each task's arguments; what a process had begun that was ended is given to another.
 
         Yields:
             (index of the task, result), as they are done; tasks that have not begun when nobody wants more, or when one
             has failed, are dropped.
-        """
-        if self._pool is None or len(tasks) < 2:
-            yield from ((index, _alone(work, *task)) for index, task in enumerate(tasks))
-            return
-        waiting = {self._submit(work, *task): index for index, task in enumerate(tasks)}
-        try:
-            for done in as_completed(waiting):
-                yield waiting[done], done.result()
-        finally:
-            for future in waiting:
-                future.cancel()
 
-    def _submit(self, work: Callable[..., T], *args: Any, **kwargs: Any) -> Future[T]:
-        assert self._pool is not None
-        with _deaf():
-            future: Future[T] = self._pool.submit(work, *args, **kwargs)
-        return future
+        Raises:
+            BrokenExecutor: where so many times in a row, see ``LOSSES``, processes were ended before any task was done.
+        """
+        left = dict(enumerate(tasks))
+        if self._pool is None or len(left) < 2:
+            yield from ((index, _alone(work, *task)) for index, task in left.items())
+            return
+        losses = 0
+        while left:
+            waiting: dict[Future[T], int] = {}
+            try:
+                for index, task in left.items():
+                    waiting[self.submit(work, *task)] = index
+                for done in as_completed(waiting):
+                    result = done.result()
+                    del left[waiting[done]]
+                    losses = 0
+                    yield waiting[done], result
+            except BrokenExecutor:
+                losses += 1
+                if losses > LOSSES:
+                    raise
+                self.end()
+                assert self._make is not None
+                self._pool = self._make()
+            finally:
+                for future in waiting:
+                    future.cancel()
+
+    def end(self) -> None:
+        """End all processes, whatever they do."""
+        if self._pool is not None:
+            self._pool.shutdown(kill_workers=True)
 
 
 def _alone(work: Callable[..., T], *args: Any, **kwargs: Any) -> T:
@@ -144,74 +176,30 @@ def workers(
 
     Raises:
         ConfigError: where less than one is asked for.
-        NotAvailable: where one of them was ended from outside.
+        NotAvailable: where processes were ended from outside.
     """
     count = worker_count(asked, tasks)
     if count == 1:
         yield Workers()
         return
-    pool = loky.ProcessPoolExecutor(count, initializer=_begin, initargs=(prepare,), env=ONE_THREAD)
+    own = Workers(
+        lambda: loky.ProcessPoolExecutor(count, initializer=_begin, initargs=(prepare,), env=ONE_THREAD), count
+    )
     try:
-        yield Workers(pool, count)
+        yield own
     except BrokenExecutor:
         raise NotAvailable(
             f"one of {count} processes that did a part of the work was ended from outside, perhaps for want of memory; "
             "one alone takes least"
         ) from None
     finally:
-        pool.shutdown(kill_workers=True)
+        own.end()
 
 
 def _begin(prepare: Callable[[], object] | None) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     if prepare is not None:
         prepare()
-
-
-def each_apart(
-    work: Callable[..., None], tasks: Sequence[tuple[Any, ...]], count: int
-) -> Iterator[tuple[int, str | None]]:
-    """Call a function with each task's arguments in a process of its own, which knows and can hand over files only.
-
-    Args:
-        work: a function of a module.
-        tasks: arguments that can be pickled.
-        count: of processes at a time.
-
-    Yields:
-        (index of the task, None, or how its process ended before its work was done), as they end. What still runs when
-        nobody wants more, or when Ctrl-C is pressed, is ended at once.
-    """
-    waiting = list(enumerate(tasks))[::-1]
-    running: dict[int, LokyProcess] = {}
-    try:
-        while waiting or running:
-            while waiting and len(running) < count:
-                index, arguments = waiting.pop()
-                running[index] = LokyProcess(target=work, args=arguments, env=ONE_THREAD)
-                with _deaf():
-                    running[index].start()
-            ended = set(wait([process.sentinel for process in running.values()]))
-            for index in [index for index, process in running.items() if process.sentinel in ended]:
-                process = running.pop(index)
-                process.join()
-                yield index, _how(process.exitcode)
-    finally:
-        started = [process for process in running.values() if process.pid is not None]
-        for process in started:
-            process.terminate()
-        for process in started:
-            process.join()
-
-
-def _how(code: int) -> str | None:
-    if code >= 0:
-        return f"ended with exit code {code}" if code else None
-    try:
-        name = signal.Signals(-code).name
-    except ValueError:
-        name = f"signal {-code}"
-    return f"was ended from outside ({name})"
 
 
 @lru_cache(maxsize=8)

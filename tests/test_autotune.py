@@ -19,6 +19,7 @@ import pytest
 
 import equimus_ctrl as eq
 from equimus_ctrl import presets, workflow
+from equimus_ctrl.executors.where import Where
 from equimus_ctrl.tuning import autotune as tuning
 from equimus_ctrl.tuning.autotune import NothingFeasible, autotune, best_feasible
 from equimus_ctrl.tuning.ensemble import make_ensemble
@@ -175,7 +176,7 @@ def test_the_record_is_json_and_holds_everything(result: TuningResult) -> None:
 def test_the_same_seed_gives_the_same_bits_on_any_number_of_threads(
     study: Study, problem: Problem, result: TuningResult
 ) -> None:
-    again = autotune(study, replace(problem, _starts={}, _legs={}), RowJournal(Rows()), workers=1)
+    again = autotune(study, replace(problem, _starts={}, _legs={}), RowJournal(Rows()), where=Where(1))
     assert bits(again.history) == bits(result.history) and again.settings == result.settings
 
 

@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 
 from equimus_ctrl import computer
-from equimus_ctrl.computer import Workers, each_apart, worker_count, workers
+from equimus_ctrl.computer import Workers, worker_count, workers
 from equimus_ctrl.errors import ConfigError, NotAvailable
 
 
@@ -115,7 +115,8 @@ def test_a_process_that_was_ended_is_told_in_a_sentence() -> None:
 
 STOPPED = """
 import os, sys, time
-from equimus_ctrl.computer import each_apart, workers
+from equimus_ctrl.computer import workers
+from equimus_ctrl.executors.local import on_this_computer
 
 def work(seconds):
     time.sleep(seconds)
@@ -133,7 +134,7 @@ except KeyboardInterrupt:
     "begin",
     [
         "with workers(2) as pool:\n      for done in pool.each(work, [(0.0,), (600.0,), (600.0,), (600.0,)]):",
-        "if True:\n      for done in each_apart(time.sleep, [(0.0,), (600.0,), (600.0,)], 2):",
+        "with on_this_computer(2) as pool:\n      for done in pool.each_apart(time.sleep, [(0.0,), (600.0,), (600.0,)]):",
     ],
     ids=["shared", "apart"],
 )
@@ -151,19 +152,24 @@ def test_ctrl_c_ends_them_at_once_and_leaves_what_is_done(begin: str) -> None:
     assert (out, err, process.returncode) == ("stopped\n", "", 0)
 
 
-def test_pieces_of_work_end_in_processes_of_their_own() -> None:
-    assert dict(each_apart(sys.exit, [(0,), (3,)], 2)) == {0: None, 1: "ended with exit code 3"}
-    assert list(each_apart(sys.exit, [], 2)) == []
-    killed = list(each_apart(signal.raise_signal, [(signal.SIGKILL,)], 1))
-    assert killed == [(0, "was ended from outside (SIGKILL)")]
+def ends_once(index: int, seen: Path) -> int:
+    """The first to come here ends its process."""
+    try:
+        seen.touch(exist_ok=False)
+    except FileExistsError:
+        return 10 * index
+    os._exit(9)
 
 
-def test_what_still_runs_when_nobody_wants_more_is_ended() -> None:
-    running = each_apart(time.sleep, [(0.0,), (600.0,)], 2)
-    begun = time.perf_counter()
-    assert next(running) == (0, None)
-    running.close()  # type: ignore[attr-defined]
-    assert time.perf_counter() - begun < 60
+def test_what_a_process_had_begun_that_was_ended_is_given_to_another(tmp_path: Path) -> None:
+    with workers(2) as pool:
+        assert dict(pool.each(ends_once, [(k, tmp_path / "seen") for k in range(4)])) == {k: 10 * k for k in range(4)}
+    assert (tmp_path / "seen").exists()
+
+
+def test_processes_that_are_always_ended_end_the_work() -> None:
+    with pytest.raises(NotAvailable, match="2 processes .* ended from outside"), workers(2) as pool:
+        list(pool.each(os._exit, [(9,), (9,)]))
 
 
 # --- threads

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from equimus_ctrl import recordings
+from equimus_ctrl.computer import Workers
 from equimus_ctrl.effects import (
     REGISTRY,
     Creep,
@@ -30,6 +31,7 @@ from equimus_ctrl.engines.mujoco_batch import FAST_SETTINGS
 from equimus_ctrl.engines.mujoco_trials import simulate_mujoco
 from equimus_ctrl.engines.trials import Trial
 from equimus_ctrl.errors import ConfigError
+from equimus_ctrl.executors.local import OnThisComputer, on_this_computer
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.proof import outside, sizes
 from equimus_ctrl.proof.designs import DURATION, JITTER, SAMPLE_RATE, TOP, design, sample_times
@@ -418,6 +420,10 @@ def snapshot(root: Path) -> dict[str, tuple[int, bytes]]:
     return {str(p.relative_to(root)): (p.stat().st_mtime_ns, p.read_bytes()) for p in root.rglob("*") if p.is_file()}
 
 
+HERE = OnThisComputer(Workers())
+"""This process."""
+
+
 def request_in(root: Path, **changed: object) -> Request:
     return dataclasses.replace(Request(root, 21, "pair", trials=2, duration=1.5, rate=480.0), **changed)  # type: ignore[arg-type]
 
@@ -425,11 +431,11 @@ def request_in(root: Path, **changed: object) -> Request:
 def test_cases_are_made_once_and_to_the_bit(tmp_path: Path) -> None:
     told: list[int] = []
     request = request_in(tmp_path / "a")
-    made = make_cases(request, [1, 0], notify=lambda m: told.append(m.case))
+    made = make_cases(request, [1, 0], HERE, notify=lambda m: told.append(m.case))
     assert told == [1, 0] and [m.case for m in made] == [0, 1] and all(m.seconds > 0 for m in made)
     before = snapshot(request.root)
     assert len(before) == 2 * (2 + 1 + 1)
-    again = make_cases(request, [0, 1])
+    again = make_cases(request, [0, 1], HERE)
     assert all(m.seconds == 0 for m in again) and snapshot(request.root) == before
     other = request_in(tmp_path / "b")
     make_case(other, 1)
@@ -497,4 +503,6 @@ def test_a_folder_of_another_seed_is_refused(tmp_path: Path) -> None:
 @pytest.mark.slow
 def test_workers_make_the_same_bits(tmp_path: Path) -> None:
     alone, together = request_in(tmp_path / "a", kind="single"), request_in(tmp_path / "b", kind="single")
-    assert [m.seal for m in make_cases(alone, range(2))] == [m.seal for m in make_cases(together, range(2), workers=2)]
+    with on_this_computer(2) as two:
+        seals = [m.seal for m in make_cases(together, range(2), two)]
+    assert [m.seal for m in make_cases(alone, range(2), HERE)] == seals

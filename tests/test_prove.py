@@ -13,6 +13,8 @@ from proof_answers import LAG, SAID_LAG, SAID_RUB, report, truth
 
 from equimus_ctrl.cli.main import main
 from equimus_ctrl.errors import ConfigError, EquimusError
+from equimus_ctrl.executors.calls import Ended
+from equimus_ctrl.executors.local import OnThisComputer
 from equimus_ctrl.proof import blind, fingerprint
 from equimus_ctrl.proof.seal import seal_of_all
 from equimus_ctrl.proof.shares import Share
@@ -106,32 +108,27 @@ class World:
         self.version = "one"
         monkeypatch.setattr(workflow, "make_cases", self.make)
         monkeypatch.setattr(workflow, "open_truth", lambda request, case: self.truths[case])
-        monkeypatch.setattr(workflow, "each_apart", self.work)
+        monkeypatch.setattr(workflow, "recorded", lambda folder, model: folder)
+        monkeypatch.setattr(OnThisComputer, "each_apart", lambda executor, *given: self.work(*given))
         monkeypatch.setattr(blind, "report_fingerprint", lambda: self.version)
         monkeypatch.setattr(blind, "baselines_fingerprint", lambda: self.version + "+")
 
-    def make(self, request: Request, cases: Any, workers: int, notify: Any, prepare: Any) -> list[Made]:
+    def make(self, request: Request, cases: Any, executor: Any, notify: Any) -> list[Made]:
         made = [Made(case, f"{request.seed}{case}", 0.0) for case in cases]
         for one in made:
             notify(one)
         return made
 
-    def work(self, work: Any, tasks: Any, workers: int) -> Iterator[tuple[int, str | None]]:
+    def work(self, work: Any, tasks: Any) -> Iterator[tuple[int, Any]]:
         assert work is blind.answer
         for k, (folder, _, own, others, label) in enumerate(tasks):
             self.tasks.append((folder, own, others, label))
             self.events.append(f"diagnosed {folder.name}")
             said = {**self.reports[int(folder.name[-1])]}
             said["proof"] = {**said["proof"], "seal": label, "fingerprint": self.version}
-            if self.how is None:
-                for path, content in (
-                    (own, said),
-                    (others, {"answers": {}, "seal": label, "fingerprint": self.version + "+"}),
-                ):
-                    if path is not None:
-                        path.parent.mkdir(parents=True, exist_ok=True)
-                        path.write_text(json.dumps(content))
-            yield k, self.how
+            simple = {"answers": {}, "seal": label, "fingerprint": self.version + "+"}
+            texts = json.dumps(said) if own else None, json.dumps(simple) if others else None
+            yield k, texts if self.how is None else Ended(self.how)
 
     def prove(self, folder: Path, **options: Any) -> Any:
         return put_to_proof(folder, **{"cases": 2, "workers": 1, "say": self.events.append, **options})
@@ -152,13 +149,10 @@ def test_seals_are_said_before_the_first_diagnosis(world: World, tmp_path: Path)
     assert found.to_dict()["seal"] == whole
 
 
-def test_a_worker_is_told_of_recordings_and_where_to_write_alone(world: World, tmp_path: Path) -> None:
+def test_a_worker_is_told_of_recordings_alone(world: World, tmp_path: Path) -> None:
     world.prove(tmp_path, seed=5)
     for k, task in enumerate(world.tasks):
-        assert task == (
-            tmp_path / "recordings" / f"case_000{k}", tmp_path / "reports" / f"case_000{k}.json",
-            tmp_path / "baselines" / f"case_000{k}.json", f"5{k}",
-        )  # fmt: skip
+        assert task == (tmp_path / "recordings" / f"case_000{k}", True, True, f"5{k}")
 
 
 def test_what_is_there_is_not_done_again(world: World, tmp_path: Path) -> None:
@@ -169,7 +163,7 @@ def test_what_is_there_is_not_done_again(world: World, tmp_path: Path) -> None:
     (tmp_path / "reports" / "case_0001.json").unlink()
     (tmp_path / "baselines" / "case_0000.json").write_text("{ cut o")
     world.prove(tmp_path)
-    wanted = [(own is not None, others is not None) for _, own, others, _ in world.tasks]
+    wanted = [(own, others) for _, own, others, _ in world.tasks]
     assert wanted == [(False, True), (True, False)]
     world.tasks.clear()
     world.prove(tmp_path, baselines=False)

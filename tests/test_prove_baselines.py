@@ -18,6 +18,7 @@ from equimus_ctrl.diagnosis.fitting import Data
 from equimus_ctrl.diagnosis.holdout import split
 from equimus_ctrl.effects import make
 from equimus_ctrl.errors import ConfigError, SimulationDiverged
+from equimus_ctrl.executors.local import OnThisComputer
 from equimus_ctrl.identification.parameters import free_parameters
 from equimus_ctrl.identification.simulators import reduced_simulator
 from equimus_ctrl.models.model import Model, nominal_model
@@ -30,6 +31,7 @@ from equimus_ctrl.proof.shares import Share
 from equimus_ctrl.proof.sindy_baseline import sparse_regression
 from equimus_ctrl.proof.torques import Smooth, missing_torque
 from equimus_ctrl.recordings.folders import write_folder
+from equimus_ctrl.recordings.sets import read_set
 from equimus_ctrl.robots.elastic.leg import nominal_leg
 from equimus_ctrl.types import Recording
 from equimus_ctrl.workflow import prove as workflow
@@ -64,10 +66,10 @@ def test_a_worker_writes_what_it_finds_and_what_it_took(
 
     monkeypatch.setattr(blind, "diagnose", fake)
     monkeypatch.setattr(blind, "baselines", others_say)
-    blind.answer(tmp_path / "case_0003", nominal_model(), tmp_path / "r.json", tmp_path / "b.json", "sealed")
+    texts = blind.answer(read_set(tmp_path / "case_0003"), nominal_model(), True, True, "sealed")
     assert seen == [(nominal_model(), ["trial_00", "trial_01"], 1)]
     assert given == ["fit" if same else None]  # a fit to other trials is of no use to them
-    said, others = (json.loads((tmp_path / name).read_text()) for name in ("r.json", "b.json"))
+    said, others = (json.loads(text or "") for text in texts)
     assert said["findings"] == [SAID_LAG] and said["nan"] is None
     assert said["proof"]["seal"] == others["seal"] == "sealed"
     assert said["proof"]["fingerprint"] == blind.report_fingerprint() != others["fingerprint"]
@@ -75,12 +77,11 @@ def test_a_worker_writes_what_it_finds_and_what_it_took(
 
 
 def test_ground_truths_reports_and_truths_come_together(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def here(work: Any, tasks: Any, workers: int) -> Iterator[tuple[int, None]]:
+    def here(executor: OnThisComputer, work: Any, tasks: Any) -> Iterator[tuple[int, Any]]:
         for k, task in enumerate(tasks):
-            work(*task)
-            yield k, None
+            yield k, work(*task)
 
-    monkeypatch.setattr(workflow, "each_apart", here)
+    monkeypatch.setattr(OnThisComputer, "each_apart", here)
     said = SimpleNamespace(to_dict=lambda: report(SAID_LAG), base=None)
     monkeypatch.setattr(blind, "diagnose", lambda *a, **k: said)
     options: dict[str, Any] = {"cases": 1, "kind": "none", "trials": 1, "duration": 2.0, "baselines": False}
@@ -100,8 +101,8 @@ def test_a_diagnosis_that_fails_is_an_answer_too(tmp_path: Path, monkeypatch: py
         raise SimulationDiverged("the model diverges")
 
     monkeypatch.setattr(blind, "diagnose", broken)
-    blind.answer(tmp_path / "case", nominal_model(), tmp_path / "r.json", None, "sealed")
-    assert json.loads((tmp_path / "r.json").read_text())["proof"]["failed"] == "the model diverges"
+    text, others = blind.answer(read_set(tmp_path / "case"), nominal_model(), True, False, "sealed")
+    assert others is None and json.loads(text or "")["proof"]["failed"] == "the model diverges"
 
 
 @pytest.mark.parametrize(

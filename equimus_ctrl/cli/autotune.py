@@ -53,6 +53,7 @@ def autotune(
     equimus-ctrl autotune nmpc --budget 120 --json
     equimus-ctrl autotune pid --model corrected.toml
     equimus-ctrl autotune lqr --model robot.xml --candidates 20
+    equimus-ctrl autotune nmpc --scheduler tcp://head:8786
     equimus-ctrl autotune leaning --plugin docs/examples/plugin.py --scenario hold
     """  # noqa: D301
     _tune(controller, study, model, plugins, options, figures, as_json)

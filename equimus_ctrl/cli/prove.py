@@ -52,6 +52,10 @@ def prove(
     the answers are scored against the ground truths. Stopped at any moment, the same command goes on. Exit code 3 says
     that a goal is missed; times are reported, not judged.
 
+    The work is done by processes of this computer, by a Dask cluster (--scheduler), or by jobs of a Slurm cluster
+    (--slurm), with the same answers. With --shard it is shared out by hand: parts in one folder need no more than the
+    same command without it once all are done, parts in folders of their own --merge. A part is not judged.
+
     With --model the robots are like yours, driven by the commands of your recordings: the score says what a
     diagnosis of such an experiment can find. Recorded torques are mostly a controller's: --track gives each robot one.
 
@@ -62,6 +66,10 @@ def prove(
     equimus-ctrl prove --cases 1000 --seed 7 --output proof_7 --json
     equimus-ctrl prove docs/examples/pendulum --model docs/examples/pendulum.xml --cases 20
     equimus-ctrl prove arm_runs --model arm.xml --track 2
+    equimus-ctrl prove --cases 10000 --scheduler tcp://head:8786
+    equimus-ctrl prove --cases 10000 --slurm jobs.toml
+    equimus-ctrl prove --cases 1000 --shard 2/5 --output shard_2
+    equimus-ctrl prove --cases 1000 --merge shard_1 --merge shard_2 --merge shard_3 --merge shard_4 --merge shard_5
     """  # noqa: D301
     from rich.progress import BarColumn, MofNCompleteColumn, TextColumn
 
@@ -81,13 +89,14 @@ def prove(
     try:
         with bars(console, *columns) as progress:
             from equimus_ctrl.workflow.prove import STAGES, put_to_proof
+            from equimus_ctrl.workflow.prove_shards import shard_name
 
             tasks = {stage: progress.add_task(stage, total=options.cases, start=False) for stage in STAGES}
 
             def notify(stage: str, done: int, total: int) -> None:
                 if not progress.tasks[tasks[stage]].started:
                     progress.start_task(tasks[stage])
-                progress.update(tasks[stage], completed=done)
+                progress.update(tasks[stage], completed=done, total=total)
                 if not console.is_terminal:
                     console.print(f"{stage}: {done} of {total}")
 
@@ -102,12 +111,13 @@ def prove(
     except KeyboardInterrupt:
         console.print("stopped: the same command goes on from here", markup=False)
         raise typer.Exit(130) from None
-    record, files = found.to_dict(), [folder / "score.json", folder / "score.md"]
+    name = shard_name("score", options.shard)
+    record, files = found.to_dict(), [folder / f"{name}.json", folder / f"{name}.md"]
     presets.write_text(files[0], presets.json_text(record))
     from equimus_ctrl.report.proof_tables import markdown
 
     presets.write_text(files[1], markdown(_head(found), found.score))
-    if figures:
+    if figures and options.shard is None:
         from equimus_ctrl.report.proof_figures import save_proof_figures
 
         files += save_proof_figures(found.score, folder)
@@ -115,7 +125,7 @@ def prove(
     print_files(console, files)
     if as_json:
         print_json({**record, "files": [str(file) for file in files]})
-    if not found.score.accurate:
+    if not found.score.accurate and options.shard is None:
         raise typer.Exit(3)
 
 
@@ -141,6 +151,7 @@ def _head(found: Proof) -> dict[str, str]:
     return {
         **({"robot": r.model.name} if r.experiment else {}),
         "seed": str(r.seed),
+        **({"shard": str(found.shard)} if found.shard else {}),
         "cases": f"{len(found.score.cases)}, {'drawn from all kinds' if r.kind is None else f'all of kind {r.kind}'}",
         "recordings": f"{r.trials} trials of {'up to ' if r.experiment else ''}{r.duration:g} s each",
         "SHA-256 of all seals": f"`{found.seal}`",

@@ -15,7 +15,7 @@ from equimus_ctrl.options.export import ExportOptions
 from equimus_ctrl.options.fields import NAMES, SPAN, bounds_of, key_values
 from equimus_ctrl.options.identify import IdentifyOptions
 from equimus_ctrl.options.offers import OnCommandLine, offered, option, with_changes
-from equimus_ctrl.options.prove import KINDS, LEAST_DURATION, ProveOptions
+from equimus_ctrl.options.prove import KINDS, LEAST_DURATION, ProveOptions, Shard
 from equimus_ctrl.options.score import MOST_RATE, ScoreOptions
 from equimus_ctrl.options.sensitivity import SensitivityOptions
 from equimus_ctrl.options.validate import ValidateOptions
@@ -41,6 +41,7 @@ __all__ = [
     "ProveOptions",
     "ScoreOptions",
     "SensitivityOptions",
+    "Shard",
     "ValidateOptions",
     "bounds_of",
     "key_values",

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from equimus_ctrl.errors import ConfigError
-from equimus_ctrl.options.fields import NAMES, at_least, threads_option
+from equimus_ctrl.options.fields import NAMES, check_where, scheduler_option, slurm_option, workers_option
 from equimus_ctrl.options.offers import option
 
 
@@ -30,6 +30,8 @@ class AutotuneOptions:
         fresh: do not take up an interrupted run.
         force: replace settings that are there already, and the results of another tuning in ``folder``.
         workers: threads or processes; all cores by default.
+        scheduler: address of a Dask cluster that tries the candidates in their place.
+        slurm: file that says how jobs of a Slurm cluster are asked for, which try them in their place.
         budget: the search gives its best so far after this time; as long as its candidates take by default [s].
 
     Raises:
@@ -56,7 +58,9 @@ class AutotuneOptions:
     )
     fresh: bool = option(False, bool, "Start anew instead of going on where a run stopped.", "--fresh")
     force: bool = option(False, bool, "Replace settings that are there already.", "--force")
-    workers: int | None = threads_option("Threads or processes; all cores by default.")
+    workers: int | None = workers_option("Threads or processes; all cores by default.")
+    scheduler: str | None = scheduler_option()
+    slurm: Path | None = slurm_option()
     budget: float | None = option(
         None,
         float | None,
@@ -66,6 +70,6 @@ class AutotuneOptions:
 
     def __post_init__(self) -> None:
         """Check the values; what a study may say is checked as a study's."""
-        at_least("workers", self.workers, 1)
+        check_where(self.workers, self.scheduler, self.slurm)
         if self.budget is not None and not 0 < self.budget < math.inf:
             raise ConfigError(f"the budget is {self.budget:g} s, expected more than 0")

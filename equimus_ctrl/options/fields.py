@@ -127,6 +127,34 @@ def zero_option() -> Any:
     return option((), NAMES, text, metavar="JOINT")
 
 
+def workers_option(text: str = "Processes at a time; one a processor by default.") -> Any:
+    """How many processes of this computer."""
+    return option(None, int | None, text)
+
+
+def scheduler_option() -> Any:
+    """A Dask cluster in their place."""
+    text = "Work on the Dask cluster of this scheduler, such as tcp://head:8786."
+    return option(None, str | None, text, metavar="ADDRESS")
+
+
+def slurm_option() -> Any:
+    """Jobs of a Slurm cluster in their place."""
+    text = "Work in jobs of a Slurm cluster; the file (TOML) says how they are asked for."
+    return option(None, Path | None, text, metavar="FILE")
+
+
+def check_where(workers: int | None, scheduler: str | None, slurm: Path | None) -> None:
+    """Raise ConfigError where these do not say in one way where work is done."""
+    at_least("workers", workers, 1)
+    given = {"--workers": workers, "--scheduler": scheduler, "--slurm": slurm}
+    names = [name for name, value in given.items() if value is not None]
+    if len(names) > 1:
+        raise ConfigError(f"{' and '.join(names)} are given, expected one: each says where the work is done")
+    if scheduler is not None and not all(scheduler.partition("://")):
+        raise ConfigError(f"scheduler is {scheduler!r}, expected an address such as tcp://head:8786")
+
+
 def at_least(name: str, value: float | None, least: float) -> None:
     """Raise ConfigError for a value below the least."""
     if value is not None and value < least:

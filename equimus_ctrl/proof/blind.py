@@ -6,8 +6,7 @@ import json
 import math
 import sys
 import time
-from collections.abc import Mapping
-from pathlib import Path
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from threadpoolctl import threadpool_limits
@@ -24,8 +23,7 @@ from equimus_ctrl.identification.simulators import reduced_simulator
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.proof.baselines import baselines
 from equimus_ctrl.proof.fingerprint import BASELINES, PARTS, fingerprint
-from equimus_ctrl.proof.store import recorded
-from equimus_ctrl.recordings.folders import write_text
+from equimus_ctrl.types import Recording
 
 SETTINGS = DiagnosisSettings(threads=1)
 
@@ -40,33 +38,40 @@ def baselines_fingerprint() -> str:
     return fingerprint(repr(SETTINGS), (*PARTS, *BASELINES))
 
 
-def answer(recordings: Path, model: Model, report: Path | None, others: Path | None, label: str) -> None:
-    """Diagnose a folder of recordings and write what is found.
+def answer(
+    recordings: Sequence[Recording], model: Model, report: bool, others: bool, label: str
+) -> tuple[str | None, str | None]:
+    """What is found in recordings, as two files hold it.
 
     Args:
-        recordings: the folder; no other is read.
+        recordings: of one robot.
         model: what the robot is taken to be.
-        report: file for the diagnosis; None where there is one already.
-        others: file for the baselines' answers; None where they are not wanted.
-        label: written into both files.
+        report: whether the diagnosis is wanted.
+        others: whether the baselines' answers are.
+        label: written into both.
+
+    Returns:
+        The diagnosis and the baselines' answers, None of what is not wanted.
     """
     begun = time.perf_counter()
     keep_freed_memory()
     free = default_free_parameters(model)
-    data = split(free.model, recorded(recordings, model))
+    data = split(free.model, recordings)
     found: Diagnosis | None = None
-    if report is not None:
+    texts: list[str | None] = [None, None]
+    if report:
         made = {"fingerprint": report_fingerprint(), "seal": label}
         said, found = _diagnosed(free, data)
-        write_text(report, _text({**said, "proof": {**said["proof"], **made}}))
-    if others is not None:
+        texts[0] = _text({**said, "proof": {**said["proof"], **made}})
+    if others:
         made = {"fingerprint": baselines_fingerprint(), "seal": label}
         with threadpool_limits(limits=1, user_api="blas"):
             simulator = reduced_simulator(threads=1)
             own = Data(free, data.train, simulator)
             same = found is not None and found.train == data.train
             answers = baselines(own, data.validation, found.base if found is not None and same else None)
-        write_text(others, _text({"answers": answers, **made, "seconds": time.perf_counter() - begun}))
+        texts[1] = _text({"answers": answers, **made, "seconds": time.perf_counter() - begun})
+    return texts[0], texts[1]
 
 
 def _diagnosed(free: FreeParameters, data: Split) -> tuple[dict[str, Any], Diagnosis | None]:

@@ -16,10 +16,10 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
-from equimus_ctrl import computer
 from equimus_ctrl.errors import ConfigError, SimulationDiverged
+from equimus_ctrl.executors.base import Executor
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.proof.designs import DURATION, TRIALS
 from equimus_ctrl.proof.drawing import ATTEMPTS, CaseSource, Excess, GroundTruth, Kind, findings
@@ -34,7 +34,6 @@ from equimus_ctrl.recordings.sets import read_set
 from equimus_ctrl.types import Array, Recording
 
 SCHEMA = "equimus-ctrl/proof-truth/1"
-T = TypeVar("T")
 
 
 @dataclass(frozen=True)
@@ -173,24 +172,55 @@ def truth_of(source: CaseSource, ground_truth: GroundTruth, clean: list[Array]) 
     }
 
 
-def make_case(request: Request, case: int) -> Made:
-    """Make one case, unless it is there."""
-    names = request.trial_names
-    known = read_text(request.seal(case))
-    line = read_text(request.truth(case))
-    if known is not None and line is not None and holds(request.recordings(case), names):
-        truth = opened(line.strip(), known.strip(), f"case {case}")
-        _check_same(request, truth)
-        return Made(case, known.strip(), 0.0)
+@dataclass(frozen=True, eq=False)
+class NewCase:
+    """One case before it is written.
+
+    Attributes:
+        line: its truth.
+        recordings: all that a diagnosis may see.
+        seconds: what it took.
+    """
+
+    line: str
+    recordings: tuple[Recording, ...]
+    seconds: float
+
+
+def new_case(request: Request, case: int) -> NewCase:
+    """One case, which follows from the request and its number alone; no file is touched."""
     began = time.perf_counter()
     ground_truth, clean, truth = request.ground_truth(case)
     seen = request.source.recorded(ground_truth, clean)
     made = {"duration_s": request.duration, "physics_hz": request.rate, "recordings_sha256": digest(seen)}
     line = salted({**truth, **made}, request.seed, case)
-    write_folder(request.recordings(case), seen)
-    write_text(request.truth(case), line + "\n")
-    write_text(request.seal(case), seal(line) + "\n")
-    return Made(case, seal(line), time.perf_counter() - began)
+    return NewCase(line, tuple(seen), time.perf_counter() - began)
+
+
+def made_before(request: Request, case: int) -> Made | None:
+    """A case that is there; None of one that is not.
+
+    Raises:
+        ConfigError: where it was changed, or is of another request.
+    """
+    known, line = read_text(request.seal(case)), read_text(request.truth(case))
+    if known is None or line is None or not holds(request.recordings(case), request.trial_names):
+        return None
+    truth = opened(line.strip(), known.strip(), f"case {case}")
+    _check_same(request, truth)
+    return Made(case, known.strip(), 0.0)
+
+
+def _written(request: Request, case: int, drawn: NewCase) -> Made:
+    write_folder(request.recordings(case), drawn.recordings)
+    write_text(request.truth(case), drawn.line + "\n")
+    write_text(request.seal(case), seal(drawn.line) + "\n")
+    return Made(case, seal(drawn.line), drawn.seconds)
+
+
+def make_case(request: Request, case: int) -> Made:
+    """Make one case, unless it is there."""
+    return made_before(request, case) or _written(request, case, new_case(request, case))
 
 
 def _check_same(request: Request, truth: dict[str, Any]) -> None:
@@ -205,48 +235,38 @@ def _check_same(request: Request, truth: dict[str, Any]) -> None:
             )
 
 
-Prepare = Callable[[], object]
-"""What a fresh process has to do before its work."""
-
-
-def prepared(work: Callable[..., T], prepare: Prepare | None) -> Callable[..., T]:
-    """Work that is prepared first; both can be pickled, and so can what is returned."""
-    return work if prepare is None else partial(_after, prepare, work)
-
-
-def _after(prepare: Prepare, work: Callable[..., T], *task: Any) -> T:
-    prepare()
-    return work(*task)
-
-
 def make_cases(
     request: Request,
     cases: Iterable[int],
-    workers: int = 1,
+    executor: Executor,
     notify: Callable[[Made], None] = lambda made: None,
-    prepare: Prepare | None = None,
 ) -> list[Made]:
-    """Make cases that are not there yet, in processes of their own where there are several workers.
+    """Make cases that are not there yet.
 
     Args:
         request: what of.
         cases: their numbers.
-        workers: processes; 1 makes them in this one.
+        executor: draws and simulates them; they are written here.
         notify: called with each case as it is done; those are kept, whatever ends the work.
-        prepare: done before each case, so that a process of its own knows what this one does; it can be pickled.
 
     Returns:
         All of them by number.
 
     Raises:
-        NotAvailable: where one of the processes was ended from outside.
+        NotAvailable: where the executor cannot go on.
     """
-    tasks = [(request, case) for case in cases]
-    made = []
-    with computer.workers(workers, len(tasks)) as pool:
-        for _, done in pool.each(prepared(make_case, prepare), tasks):
-            notify(done)
-            made.append(done)
+    made, missing = list[Made](), list[int]()
+    for case in cases:
+        there = made_before(request, case)
+        if there is None:
+            missing.append(case)
+        else:
+            notify(there)
+            made.append(there)
+    for index, drawn in executor.each(partial(new_case, request), ((case,) for case in missing)):
+        done = _written(request, missing[index], drawn)
+        notify(done)
+        made.append(done)
     return sorted(made, key=lambda m: m.case)
 
 

@@ -54,6 +54,39 @@ def write_text(path: PathLike, text: str) -> None:
         file.write(text)
 
 
+def copy(source: PathLike, target: PathLike) -> None:
+    """Copy a text file as a whole; folders above the new one are made.
+
+    Raises:
+        RecordingError: where there is none, or it cannot be done.
+    """
+    text = read_text(source)
+    if text is None:
+        raise RecordingError(f"{source}: the file is missing")
+    write_text(target, text)
+
+
+def copy_folder(source: PathLike, target: PathLike) -> None:
+    """Copy a folder of text files, which appears when all of them are in it, in the place of one that is there.
+
+    Raises:
+        RecordingError: where there is none, or it cannot be done.
+    """
+    source, target = Path(source), Path(target)
+    half = target.with_name(f".{target.name}.{os.getpid()}.tmp")
+    try:
+        shutil.rmtree(half, ignore_errors=True)
+        half.parent.mkdir(parents=True, exist_ok=True)
+        shutil.copytree(source, half)
+        if target.is_dir():
+            shutil.rmtree(target)
+        os.replace(half, target)
+    except OSError as error:
+        raise RecordingError(f"{source}: the folder cannot be copied to {target} ({reason(error)})") from error
+    finally:
+        shutil.rmtree(half, ignore_errors=True)
+
+
 def read_text(path: PathLike) -> str | None:
     """The text of a file; None where there is none.
 
@@ -66,6 +99,15 @@ def read_text(path: PathLike) -> str | None:
         return None
     except (OSError, UnicodeDecodeError) as error:
         raise RecordingError(f"{path}: the file cannot be read ({error})") from error
+
+
+def texts(folder: PathLike, pattern: str) -> dict[Path, str]:
+    """Files in a folder whose names match a pattern, by name, with what they hold.
+
+    Raises:
+        RecordingError: where one cannot be read.
+    """
+    return {path: read_text(path) or "" for path in sorted(Path(folder).glob(pattern))}
 
 
 def holds(folder: PathLike, names: Sequence[str]) -> bool:

@@ -8,19 +8,19 @@ import json
 import math
 import time as clock
 from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, replace
 from typing import Any
 
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from equimus_ctrl.computer import worker_count
 from equimus_ctrl.controllers.pid import PidController
 from equimus_ctrl.controllers.pid_settings import PidSettings
 from equimus_ctrl.effects.valves import valve_effects
 from equimus_ctrl.engines.lane_functions import LANES
 from equimus_ctrl.errors import EquimusError
+from equimus_ctrl.executors.base import Executor, Prepare
+from equimus_ctrl.executors.where import Where
 from equimus_ctrl.loop import run
 from equimus_ctrl.models.model import Model, model_to_dict
 from equimus_ctrl.plants.mujoco_plant import MujocoPlant, PlantRates
@@ -34,6 +34,8 @@ from equimus_ctrl.tuning.stability import Margins, least_margins, margins
 from equimus_ctrl.tuning.study import Study
 from equimus_ctrl.types import Array, Start
 
+HERE = Where()
+"""This computer."""
 UNSEEN = 1_000_003
 """Beyond the study's seed, of robots that take no part in the tuning."""
 
@@ -92,8 +94,9 @@ def autotune(
     problem: Problem,
     journal: Journal,
     notify: Callable[[Trial], None] = lambda trial: None,
-    workers: int | None = None,
+    where: Where = HERE,
     budget: float | None = None,
+    prepare: Prepare | None = None,
 ) -> TuningResult:
     """Search, then look hard at what was found.
 
@@ -104,8 +107,9 @@ def autotune(
         problem: see ``make_problem``.
         journal: where evaluations are kept and found again.
         notify: called after each candidate.
-        workers: threads; all cores by default.
+        where: candidates are tried; in threads of this process by default.
         budget: longest time of the search [s]; none by default.
+        prepare: done first in every other process.
 
     Raises:
         NothingFeasible: where no candidate was stable and within the limits on every leg.
@@ -120,9 +124,8 @@ def autotune(
 
     # Linear algebra keeps to one thread each: the cores are busy with candidates, and the bits stay the same on any
     # number of them.
-    threads = worker_count(workers)
-    with threadpool_limits(1), ThreadPoolExecutor(threads) as pool:
-        search.evaluate = lambda batch: problem.evaluate([made(v) for v in batch], pool, threads)
+    with threadpool_limits(1), where.shared(prepare) as pool:
+        search.evaluate = lambda batch: problem.evaluate([made(v) for v in batch], pool, pool.count)
         problem.warm_up()
         interrupted = search.interrupted()
         best = best_feasible(search.history, lambda t: problem.verified(made(t.values)))
@@ -135,8 +138,8 @@ def autotune(
         try:
             unseen = unseen_problem(problem, study)
             unseen.warm_up()
-            on_unseen = _one_by_one(unseen, settings, pool, threads)
-            start_unseen = _one_by_one(unseen, start_settings, pool, threads)
+            on_unseen = _one_by_one(unseen, settings, pool)
+            start_unseen = _one_by_one(unseen, start_settings, pool)
             checks = [cross_check(problem, settings, k) for k in range(len(problem.tasks))]
         except KeyboardInterrupt:
             # The gains are found; what is missing is only how they do elsewhere.
@@ -210,12 +213,13 @@ def best_feasible(
     )
 
 
-def _one_by_one(problem: Problem, settings: PidSettings, pool: ThreadPoolExecutor, workers: int) -> list[Evaluation]:
+def _one_by_one(problem: Problem, settings: PidSettings, pool: Executor) -> list[Evaluation]:
     """What gains are worth on each leg of a problem alone."""
     runs = [(settings, member) for member in range(len(problem.members))]
-    size = max(min(LANES, math.ceil(len(runs) / workers)), 1)
+    size = max(min(LANES, math.ceil(len(runs) / pool.count)), 1)
     blocks = [runs[k : k + size] for k in range(0, len(runs), size)]
-    return [problem.judge([leg]) for legs in pool.map(problem.leg_outcomes, blocks) for leg in legs]
+    begun = [pool.submit(problem.leg_outcomes, block) for block in blocks]
+    return [problem.judge([leg]) for legs in begun for leg in legs.result()]
 
 
 def _margins_of(problem: Problem, settings: PidSettings, member: Member, pose: Array) -> list[Margins]:

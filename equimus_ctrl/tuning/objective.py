@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import Future
 from dataclasses import dataclass, field
 from itertools import chain, islice
 from typing import Any
@@ -18,6 +18,7 @@ from equimus_ctrl.controllers.pid_kernel import KD
 from equimus_ctrl.controllers.pid_settings import PidSettings
 from equimus_ctrl.effects.sensors import behind, sensor_settings, shown
 from equimus_ctrl.engines.lane_functions import LANES
+from equimus_ctrl.executors.base import Submits
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.scenarios.scenario import Scenario
 from equimus_ctrl.tuning import closed_loop
@@ -397,7 +398,7 @@ class Problem:
         return judged(legs, [task.weight for task in self.tasks], self.weights, self.limits)
 
     def evaluate(
-        self, candidates: Sequence[PidSettings], pool: ThreadPoolExecutor, workers: int | None = None
+        self, candidates: Sequence[PidSettings], pool: Submits, workers: int | None = None
     ) -> Iterator[Evaluation]:
         """Judge candidates in their order, legs of several candidates running side by side.
 
@@ -406,7 +407,7 @@ class Problem:
         Args:
             candidates: sets of gains.
             pool: where the work is done.
-            workers: its threads; as many as there are cores by default. The result does not depend on it.
+            workers: so many; as many as there are cores by default. The result does not depend on it.
         """
         hardest = min(1, len(self.members) - 1)
         rest = [i for i in range(len(self.members)) if i != hardest]

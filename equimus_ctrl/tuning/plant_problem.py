@@ -16,10 +16,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from equimus_ctrl import computer
 from equimus_ctrl.controllers.registry import ControllerEntry, ControllerRequest
 from equimus_ctrl.controllers.search_space import SearchSpace
 from equimus_ctrl.errors import ConfigError, ControllerError, SimulationDiverged
+from equimus_ctrl.executors.base import Executor
 from equimus_ctrl.loop import run
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.plants.mujoco_plant import MujocoPlant
@@ -274,7 +274,7 @@ class PlantProblem:
         return judged([outcomes[n] for n in numbers], counts, self.weights, self._limits, paying)
 
     def evaluations(
-        self, candidates: Sequence[Candidate], pool: computer.Workers, so_far: Sequence[Evaluation] = ()
+        self, candidates: Sequence[Candidate], pool: Executor, so_far: Sequence[Evaluation] = ()
     ) -> Iterator[Evaluation]:
         """Of candidates on all robots, in their order, as they are known.
 
@@ -313,7 +313,7 @@ class PlantProblem:
                 going = [k for k in going if known[k].feasible]
             if self.margin:
                 going = self._cheaper(going, known, incumbent)
-                slower = dict(pool.each(PlantProblem.delayed_outcomes, [(self, part[k]) for k in going]))
+                slower = dict(pool.each(self.delayed_outcomes, [(part[k],) for k in going]))
                 latest = self._latest
                 for index, k in enumerate(going):
                     found[k][latest] = _the_worse(found[k][latest], slower[index])
@@ -377,15 +377,13 @@ class PlantProblem:
         each = np.array([costs.get(n, least) for n, least in zip(self.paying, possible, strict=True)])
         return float((1 - self.weights.worst) * each.mean() + self.weights.worst * each.max())
 
-    def on_each(self, candidates: Sequence[Candidate], pool: computer.Workers) -> list[list[Evaluation]]:
+    def on_each(self, candidates: Sequence[Candidate], pool: Executor) -> list[list[Evaluation]]:
         """Of each candidate what it is worth on each robot alone."""
         legs = self._shared(pool, [(candidates, number) for number in range(len(self.members))])
         return [[self.judge({n: own[k]}) for n, own in enumerate(legs)] for k in range(len(candidates))]
 
-    def _shared(
-        self, pool: computer.Workers, tasks: Sequence[tuple[Sequence[Candidate], int]]
-    ) -> list[list[LegOutcome]]:
-        found = dict(pool.each(PlantProblem.member_outcomes, [(self, *task) for task in tasks]))
+    def _shared(self, pool: Executor, tasks: Sequence[tuple[Sequence[Candidate], int]]) -> list[list[LegOutcome]]:
+        found = dict(pool.each(self.member_outcomes, tasks))
         return [found[k] for k in range(len(tasks))]
 
     def poses(self) -> list[Array]:

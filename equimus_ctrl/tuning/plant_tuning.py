@@ -11,15 +11,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from equimus_ctrl import computer
 from equimus_ctrl.controllers.registry import tunable
 from equimus_ctrl.controllers.search_space import SearchSpace, space_of
 from equimus_ctrl.errors import ConfigError, ControllerError, NotAvailable
+from equimus_ctrl.executors.where import Where
 from equimus_ctrl.models.dynamics import Dynamics
 from equimus_ctrl.models.model import Model, model_to_dict
 from equimus_ctrl.plants.mujoco_plant import MujocoPlant
 from equimus_ctrl.scenarios.scenario import Scenario
-from equimus_ctrl.tuning.autotune import UNSEEN, best_feasible, source, time_is_up
+from equimus_ctrl.tuning.autotune import HERE, UNSEEN, best_feasible, source, time_is_up
 from equimus_ctrl.tuning.ensemble import hardest, make_members
 from equimus_ctrl.tuning.objective import Evaluation
 from equimus_ctrl.tuning.plant_problem import HARDEST, PlantProblem, PlantTask
@@ -159,7 +159,7 @@ def tune_on_plant(
     problem: PlantProblem,
     journal: Journal,
     notify: Callable[[Trial], None] = lambda trial: None,
-    workers: int | None = None,
+    where: Where = HERE,
     budget: float | None = None,
     prepare: Callable[[], object] | None = None,
 ) -> PlantTuning:
@@ -172,7 +172,7 @@ def tune_on_plant(
         problem: see ``make_plant_problem``.
         journal: where evaluations are kept and found again.
         notify: called after each candidate.
-        workers: processes; all cores by default.
+        where: candidates are tried; in processes of this computer by default.
         budget: longest time of the search [s]; none by default.
         prepare: called first in every process.
 
@@ -182,7 +182,7 @@ def tune_on_plant(
     search = Search.of(list(problem.space.ranges.values()), study, journal, notify)
     search.over = time_is_up(budget)
     on_unseen, start_unseen = list[Evaluation](), list[Evaluation]()
-    with computer.workers(workers, prepare=prepare) as pool:
+    with where.opened(prepare=prepare) as pool:
         search.evaluate = lambda batch: problem.evaluations(
             [problem.candidate(values) for values in batch], pool, [trial.evaluation for trial in search.history]
         )

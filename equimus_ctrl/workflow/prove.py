@@ -13,20 +13,22 @@ from typing import Any, cast
 import numpy as np
 
 from equimus_ctrl import presets
-from equimus_ctrl.computer import each_apart, worker_count
 from equimus_ctrl.errors import ConfigError, EquimusError
-from equimus_ctrl.models.model import Model
-from equimus_ctrl.options import ProveOptions, with_changes
+from equimus_ctrl.executors.base import Executor
+from equimus_ctrl.executors.calls import Ended
+from equimus_ctrl.options import ProveOptions, Shard, with_changes
 from equimus_ctrl.proof import blind
 from equimus_ctrl.proof.designs import DURATION, TRIALS
 from equimus_ctrl.proof.drawing import Kind
 from equimus_ctrl.proof.mjcf import Experiment
 from equimus_ctrl.proof.scoring import Score, score
 from equimus_ctrl.proof.seal import seal_of_all
-from equimus_ctrl.proof.store import Prepare, Request, make_cases, open_truth, prepared, recorded
-from equimus_ctrl.recordings.folders import read_text
+from equimus_ctrl.proof.store import Request, make_cases, open_truth, recorded
+from equimus_ctrl.recordings.folders import read_text, write_text
 from equimus_ctrl.types import Array, Recording
 from equimus_ctrl.workflow.plugins import load_plugins, plugins_digest
+from equimus_ctrl.workflow.prove_shards import merge_shards, note_shard, shard_name
+from equimus_ctrl.workflow.where import where_of
 
 Progress = Callable[[str, int, int], None]
 """Called with the stage, how many cases are done, and how many there are."""
@@ -51,6 +53,7 @@ class Proof:
         score: what it came to.
         notes: what else a person ought to know.
         seconds: how long all of it took.
+        shard: the part of the cases that it is of; None of all.
     """
 
     request: Request
@@ -58,6 +61,7 @@ class Proof:
     score: Score
     notes: tuple[str, ...]
     seconds: float
+    shard: Shard | None = None
 
     def to_dict(self) -> dict[str, Any]:
         """What ``prove --json`` prints."""
@@ -69,6 +73,7 @@ class Proof:
             "seed": r.seed,
             "kind": r.kind,
             "trials": r.trials,
+            **({"shard": str(self.shard)} if self.shard else {}),
         }
         rest = {"duration_s": r.duration, "seal": self.seal, "notes": list(self.notes), "seconds": self.seconds}
         return {**head, **rest, **found}
@@ -102,41 +107,49 @@ def put_to_proof(
     begun = time.perf_counter()
     options = with_changes(ProveOptions, options, changes)
     request = _request(folder, options, experiment)
-    cases, workers = options.cases, worker_count(options.workers)
+    cases = range(options.cases) if options.shard is None else options.shard.cases(options.cases)
     baselines = experiment is None if options.baselines is None else options.baselines
     presets.check_folder(folder)
     load_plugins(plugins)
-    _claim(request, plugins)
+    wanted = _wanted(request, plugins)
+    if options.merge:
+        for other in options.merge:
+            _check_claim(other, wanted, _claimed(other))
+        merge_shards(request, options, baselines)
+    _claim(folder, wanted)
     prepare = partial(load_plugins, [path.resolve() for path in plugins]) if plugins else None
     done = 0
 
     def count_made(made: object) -> None:
         nonlocal done
         done += 1
-        progress(STAGES[0], done, cases)
+        progress(STAGES[0], done, len(cases))
 
-    progress(STAGES[0], 0, cases)
-    seals = [made.seal for made in make_cases(request, range(cases), workers, count_made, prepare)]
-    whole = seal_of_all(seals)
-    lines = "".join(f"{one}  case_{case:04d}\n" for case, one in enumerate(seals))
-    presets.write_text(folder / "seals.txt", f"{whole}  all\n{lines}")
-    say(f"{cases} ground truths are sealed; SHA-256 of the seals: {whole}")
-    notes = far_beyond(request, cases)
-    for note in notes:
-        say(note)
-    notes += _diagnose(request, seals, workers, baselines, prepare, progress, say)
-    progress(STAGES[2], 0, cases)
+    progress(STAGES[0], 0, len(cases))
+    with where_of(options.workers, options.scheduler, options.slurm).opened(len(cases), prepare) as executor:
+        seals = {made.case: made.seal for made in make_cases(request, cases, executor, count_made)}
+        whole = seal_of_all(list(seals.values()))
+        lines = "".join(f"{one}  case_{case:04d}\n" for case, one in seals.items())
+        presets.write_text(folder / f"{shard_name('seals', options.shard)}.txt", f"{whole}  all\n{lines}")
+        say(f"{len(cases)} ground truths are sealed; SHA-256 of the seals: {whole}")
+        notes = far_beyond(request, cases)
+        for note in notes:
+            say(note)
+        notes += _diagnose(request, seals, executor, baselines, progress, say)
+    if options.shard is not None:
+        note_shard(request, options.shard, options.cases, baselines, whole)
+    progress(STAGES[2], 0, len(cases))
     truths = []
-    for case in range(cases):
+    for case in cases:
         truths.append(open_truth(request, case))
-        progress(STAGES[2], case + 1, cases)
-    reports = [_read(request.report(case)) for case in range(cases)]
-    others = [_read(request.baselines(case))["answers"] if baselines else {} for case in range(cases)]
+        progress(STAGES[2], len(truths), len(cases))
+    reports = [_read(request.report(case)) for case in cases]
+    others = [_read(request.baselines(case))["answers"] if baselines else {} for case in cases]
     found = score(truths, reports, others, request.model.robot)
-    return Proof(request, whole, found, tuple(notes), time.perf_counter() - begun)
+    return Proof(request, whole, found, tuple(notes), time.perf_counter() - begun, options.shard)
 
 
-def far_beyond(request: Request, cases: int) -> list[str]:
+def far_beyond(request: Request, cases: Sequence[int]) -> list[str]:
     """A sentence where many robots moved much farther than the one of the recordings; none where they did not.
 
     Where nothing tracks, torques that a controller gave are played as they were: what it held then runs away.
@@ -146,12 +159,12 @@ def far_beyond(request: Request, cases: int) -> list[str]:
     tracked = request.experiment.track is not None
     model = request.experiment.model
     usual = _covered(request.experiment.recordings)
-    far = [bool(np.any(_covered(recorded(request.recordings(k), model)) > FAR * usual)) for k in range(cases)]
-    if sum(far) <= SOME * cases:
+    far = [bool(np.any(_covered(recorded(request.recordings(k), model)) > FAR * usual)) for k in cases]
+    if sum(far) <= SOME * len(cases):
         return []
     return [
-        f"{sum(far)} of {cases} robots moved more than {FAR:g} times as far as the recorded one, so the score says "
-        "little of this experiment; "
+        f"{sum(far)} of {len(cases)} robots moved more than {FAR:g} times as far as the recorded one, so the score "
+        "says little of this experiment; "
         + ("track at another frequency" if tracked else "where a controller gave these commands, add --track HZ")
     ]
 
@@ -175,9 +188,8 @@ def _request(folder: Path, options: ProveOptions, experiment: Experiment | None)
     return Request.of_mjcf(folder, options.seed, kind, experiment)
 
 
-def _claim(request: Request, plugins: Sequence[Path]) -> None:
-    """Note in the folder what it is for, or raise ConfigError where it is for something else."""
-    path = request.root / "request.json"
+def _wanted(request: Request, plugins: Sequence[Path]) -> dict[str, Any]:
+    """What a folder's proof has to be of."""
     wanted: dict[str, Any] = {
         "seed": request.seed,
         "kind": request.kind,
@@ -188,19 +200,37 @@ def _claim(request: Request, plugins: Sequence[Path]) -> None:
     }
     wanted |= request.source.made_of()
     digest = plugins_digest(plugins)
-    wanted |= {} if digest is None else {"plugins_sha256": digest}
-    text = read_text(path)
+    return wanted | ({} if digest is None else {"plugins_sha256": digest})
+
+
+def _claimed(folder: Path) -> dict[str, Any]:
+    """What another folder's proof is of.
+
+    Raises:
+        ConfigError: where it holds none.
+    """
+    if (text := read_text(folder / "request.json")) is None:
+        raise ConfigError(f"{folder}: holds no proof (there is no request.json)")
+    return _parsed(text)
+
+
+def _claim(folder: Path, wanted: Mapping[str, Any]) -> None:
+    """Note in the folder what it is for, or raise ConfigError where it is for something else."""
+    text = read_text(folder / "request.json")
     if text is None:
-        presets.write_text(path, presets.json_text(wanted))
-        return
-    found = _parsed(text)
-    if found.get("plugins_sha256") != digest:
-        raise ConfigError(f"{request.root}: holds a proof with other plugins; choose another folder")
+        presets.write_text(folder / "request.json", presets.json_text(wanted))
+    else:
+        _check_claim(folder, wanted, _parsed(text))
+
+
+def _check_claim(folder: Path, wanted: Mapping[str, Any], found: Mapping[str, Any]) -> None:
+    if found.get("plugins_sha256") != wanted.get("plugins_sha256"):
+        raise ConfigError(f"{folder}: holds a proof with other plugins; choose another folder")
     for key, value in wanted.items():
         if (known := found.get(key, UNSAID.get(key, value))) != value:
             if key in HASHED:
-                raise ConfigError(f"{request.root}: holds a proof with {HASHED[key]}; choose another folder")
-            raise ConfigError(f"{request.root}: holds a proof with {key} {known}, not {value}; choose another folder")
+                raise ConfigError(f"{folder}: holds a proof with {HASHED[key]}; choose another folder")
+            raise ConfigError(f"{folder}: holds a proof with {key} {known}, not {value}; choose another folder")
 
 
 @dataclass(frozen=True, eq=False)
@@ -208,12 +238,12 @@ class _Current:
     """What makes an answer one of this version of the program, to this case.
 
     Attributes:
-        seals: of all cases.
+        seals: of all cases, by their numbers.
         report: fingerprint that a report must have.
         baselines: fingerprint that baselines' answers must have.
     """
 
-    seals: Sequence[str]
+    seals: Mapping[int, str]
     report: str = field(default_factory=lambda: blind.report_fingerprint())
     baselines: str = field(default_factory=lambda: blind.baselines_fingerprint())
 
@@ -229,37 +259,46 @@ class _Current:
 
 def _diagnose(
     request: Request,
-    seals: Sequence[str],
-    workers: int,
+    seals: Mapping[int, str],
+    executor: Executor,
     baselines: bool,
-    prepare: Prepare | None,
     progress: Progress,
     say: Say,
 ) -> list[str]:
-    current, cases = _Current(seals), range(len(seals))
-    tasks: list[tuple[Path, Model, Path | None, Path | None, str]] = []
+    current = _Current(seals)
+    tasks: list[tuple[int, dict[str, Path]]] = []
     stale = {"report": 0, "baselines": 0}
-    for case in cases:
+    for case in seals:
         paths = {"report": request.report(case), **({"baselines": request.baselines(case)} if baselines else {})}
         states = {what: current.holds(path, case, what) for what, path in paths.items()}
         for what, state in states.items():
             stale[what] += state is False
-        needed = {what: None if state else paths[what] for what, state in states.items()}
-        if any(needed.values()):
-            given = (request.recordings(case), request.model)
-            tasks.append((*given, needed["report"], needed.get("baselines"), seals[case]))
+        needed = {what: paths[what] for what, state in states.items() if not state}
+        if needed:
+            tasks.append((case, needed))
     for what, count in stale.items():
         if count:
             kind = "reports" if what == "report" else "answers of the baselines"
             say(f"{count} {kind} were made by another version of the program, or of other recordings: made again")
     if len(tasks) < len(seals):
         say(f"{len(seals) - len(tasks)} of {len(seals)} cases were diagnosed before")
-    finished, ended = len(seals) - len(tasks), dict[str, str]()
+    finished, ended = len(seals) - len(tasks), dict[str, Ended]()
     progress(STAGES[1], finished, len(seals))
-    for index, how in each_apart(prepared(blind.answer, prepare), tasks, workers):
+    # Recordings are read when they are needed. Who diagnoses them is told of nothing else.
+    given = (
+        (recorded(request.recordings(case), request.model), request.model, "report" in needed, "baselines" in needed,
+         seals[case])
+        for case, needed in tasks
+    )  # fmt: skip
+    for index, found in executor.each_apart(blind.answer, given):
+        case, needed = tasks[index]
         finished += 1
-        if how is not None:
-            ended[tasks[index][0].name] = how
+        if isinstance(found, Ended):
+            ended[request.report(case).stem] = found
+        else:
+            for what, text in zip(("report", "baselines"), found, strict=True):
+                if text is not None:
+                    write_text(needed[what], text)
         progress(STAGES[1], finished, len(seals))
     if ended:
         name, how = min(ended.items())
@@ -269,7 +308,7 @@ def _diagnose(
             "workers where memory is short"
         )
     changed = _Current(seals)
-    mixed = sum(not changed.holds(request.report(case), case, "report") for case in cases)
+    mixed = sum(not changed.holds(request.report(case), case, "report") for case in seals)
     return [f"the program changed while it ran: {mixed} reports are of another version"] if mixed else []
 
 

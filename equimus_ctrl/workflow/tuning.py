@@ -18,6 +18,7 @@ from equimus_ctrl.options import AutotuneOptions, with_changes
 from equimus_ctrl.recordings import locate
 from equimus_ctrl.workflow.plugins import load_plugins, loaded
 from equimus_ctrl.workflow.runs import load_scenario, own_settings
+from equimus_ctrl.workflow.where import where_of
 
 FOR_ALL = ("leg.toml", "any.toml")
 """Studies of controllers that have none of their own: of a robot by its joints, and of any other."""
@@ -108,11 +109,12 @@ def autotune(
     record, copy = results / "record.json", results / file
     if options.output is not None and not _is_own(target, record):
         outputs.check_new(target, options.force)
+    where = where_of(options.workers, options.scheduler, options.slurm)
     store = presets.JsonLines(results / JOURNAL, header, options.fresh)
     reused = len(store.rows)
     begin(settings.candidates)
     try:
-        result = tune(settings, problem, journal.RowJournal(store), notify, options.workers, options.budget)
+        result = tune(settings, problem, journal.RowJournal(store), notify, where, options.budget)
     finally:
         store.close()
     text = presets.toml_text(result.settings.to_dict(), _comment(controller, result, path))
@@ -188,10 +190,10 @@ def _ways(controller: str, path: Path, on_plant: bool) -> tuple[Callable[..., An
     Raises:
         ConfigError: for a controller that the compiled loop does not hold.
     """
+    prepare = partial(load_plugins, loaded()) if loaded() else None
     if on_plant:
         from equimus_ctrl.tuning import plant_tuning
 
-        prepare = partial(load_plugins, loaded()) if loaded() else None
         return (
             partial(plant_tuning.make_plant_problem, controller=controller, where=presets.shown(path)),
             plant_tuning.study_key,
@@ -205,7 +207,7 @@ def _ways(controller: str, path: Path, on_plant: bool) -> tuple[Callable[..., An
         raise ConfigError(
             f"{presets.shown(path)}: format is {FORMAT!r}, which is of {able} alone; expected {ON_PLANT!r}"
         )
-    return compiled.make_problem, compiled.study_key, compiled.autotune
+    return compiled.make_problem, compiled.study_key, partial(compiled.autotune, prepare=prepare)
 
 
 def study_for(controller: str, model: Model) -> Path:
