@@ -100,6 +100,9 @@ def test_what_is_not_compared_for_that_is_told() -> None:
     (told,) = preflight.left_out_at_first(trials, parts)
     assert told.startswith("trial 0, trial 1, trial 2: in motion at the first row (settled = no), and what was")
     assert "so the first 0.1 s are not compared" in told and "at rest" not in told
+    last = replace(parts, train=parts.train[-1:], validation=(), test=())
+    (told,) = preflight.left_out_at_first(trials, last)
+    assert "so the first 0.09" in told, "that of an interval, whichever of them are fitted"
     assert preflight.left_out_at_first(trials[3:], parts) == []
     later = split(Model(PENDULUM), trials, shoot=0.5, window=(0.3, 1.9))
     assert preflight.left_out_at_first(trials, later, (0.3, 1.9)) == [], "the window leaves it out"

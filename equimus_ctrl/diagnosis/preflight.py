@@ -27,7 +27,7 @@ from equimus_ctrl.engines.trials import Trial
 from equimus_ctrl.errors import ConfigError
 from equimus_ctrl.identification.channels import channels_of, require_alike
 from equimus_ctrl.identification.noise import noise_of_differences, resolution
-from equimus_ctrl.identification.segments import begins_in_motion
+from equimus_ctrl.identification.segments import DELAY_SHARE, begins_in_motion
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.robots.base import Robot
 from equimus_ctrl.robots.mjcf.actuators import moments_at
@@ -106,14 +106,17 @@ def left_out_at_first(
         parts: what they were cut into.
         window: (from, to) of each that counts at all [s].
     """
-    begun, left = dict[str, float](), dict[str, float]()
+    begun, longest, left = dict[str, float](), dict[str, float](), dict[str, float]()
     for segment in (*parts.train, *parts.validation, *parts.test):
-        name = segment.recording_name
-        begun[name] = min(segment.trial.start, begun.get(name, math.inf))
+        name, trial = segment.recording_name, segment.trial
+        begun[name] = min(trial.start, begun.get(name, math.inf))
+        longest[name] = max(float(trial.sample_times[-1]) - trial.start, longest.get(name, 0.0))
     for r in filter(begins_in_motion, recordings):
         counted = r.time if window is None else r.time[r.time >= window[0]]
         if begun.get(r.name, 0.0) > counted[0]:
-            left[r.name] = begun[r.name] - float(r.time[0])
+            late = begun[r.name] - float(r.time[0])
+            # Of long recordings not all intervals are fitted, and the first may not be among them.
+            left[r.name] = late if late < longest[r.name] else DELAY_SHARE * longest[r.name]
     if not left:
         return []
     least, most = (f"{of(left.values()):.2g}" for of in (min, max))
