@@ -271,9 +271,9 @@ def test_a_lost_job_s_work_is_done_by_another(tmp_path: Path, monkeypatch: pytes
 def test_jobs_that_all_end_are_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("submitit")
     monkeypatch.setattr(on_slurm, "SHOWN_EVERY", 0.3)
-    monkeypatch.setattr(on_slurm, "_job", print)  # what is submitted ends at once
+    monkeypatch.setattr(on_slurm, "work_as_job", print)  # what is submitted ends at once
     settings = slurm_settings({"cluster": "local", "jobs": 2}, tmp_path / "jobs", "jobs.toml")
-    told = "jobs in a row ended before any work was done"
+    told = "jobs ended 5 times in a row before any work was done"
     with pytest.raises(NotAvailable, match=told), on_slurm.on_slurm(settings) as pool:
         list(pool.each(square, [(1.0,), (2.0,)]))
 
