@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import pickle
 import signal
 import sys
 import threading
@@ -394,3 +395,44 @@ def test_a_process_that_was_ended_says_so_and_is_gone() -> None:
     with pytest.raises(Ended, match=r"was ended from outside \(SIGKILL\)"):
         child.do(Call.of(square, (3.0,)))
     child.end()
+
+
+def test_a_process_that_starts_as_the_loop_ends_is_ended(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """Between its start and its being known to the loop nothing may fall."""
+    from equimus_ctrl.executors import local
+
+    starting, go_on, made = threading.Event(), threading.Event(), []
+
+    class Slow(Child):
+        def __init__(self) -> None:
+            super().__init__()
+            made.append(self)
+            if len(made) > 1:
+                starting.set()
+                go_on.wait(30)
+
+    monkeypatch.setattr(local, "Child", Slow)
+    with Where(workers=2).opened() as pool:
+        done = pool.each_apart(stays, [(tmp_path, 0.0), (tmp_path, 600.0)])
+        threading.Timer(1.0, go_on.set).start()
+        assert next(done) == (0, None)
+        assert starting.wait(30)
+        done.close()
+        within(30, lambda: not any(alive(child._process.pid) for child in made))
+
+
+def test_a_kept_process_of_a_client_that_is_gone_is_ended(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(on_dask, "IDLE", 1.5)
+    monkeypatch.setattr(on_dask, "_task", lambda: None)
+    given = pickle.dumps(Call.of(who, ()))
+    first, _ = opened(on_dask._do("a session", given))
+    time.sleep(1.0)
+    again, _ = opened(on_dask._do("a session", given))
+    time.sleep(1.0)
+    assert again == first and alive(first)  # it had something to do meanwhile
+    within(30, lambda: not alive(first))
+    assert not on_dask._idle
+    other, _ = opened(on_dask._do("a session", given))
+    assert other != first
+    on_dask._let_go("a session")
+    assert not alive(other)

@@ -7,8 +7,9 @@
     <folder>/jobs/                submitit's own
 
 So jobs take pieces as they come free, and however many there are, few jobs wait in Slurm's queue. What a job had taken
-that has ended is given to another, and so is its place; one that Slurm starts again, with the same number, gives it back
-itself. Nothing but renaming has to be atomic, as it is on NFS, where a file that another renames may be stale as well.
+that has ended is given to another, and so is its place; one that Slurm starts again, with the same number, gives it
+back itself. Nothing but renaming has to be atomic, as it is on NFS, where a file that another renames may be stale as
+well.
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
-from equimus_ctrl.executors.calls import Call, Ended, failed
+from equimus_ctrl.executors.calls import Ended, failed
 from equimus_ctrl.executors.child import Child
 
 ATTEMPTS = 4
@@ -34,15 +35,18 @@ GONE_AFTER = 120.0
 
 
 def name_of(number: int, attempt: int | str) -> str:
+    """Of a piece."""
     return f"{number:07d}.{attempt}"
 
 
 def numbers_in(name: str) -> tuple[int, int]:
+    """Which piece, for which time."""
     number, attempt = name.split(".")
     return int(number), int(attempt)
 
 
 def write(path: Path, data: bytes) -> None:
+    """Whole or not at all."""
     half = path.with_name(f".{path.name}.tmp")
     half.write_bytes(data)
     half.replace(path)
