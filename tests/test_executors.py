@@ -21,7 +21,7 @@ from equimus_ctrl.executors.base import AHEAD, Executor
 from equimus_ctrl.executors.calls import Call, Ended, Unfit, opened, perform
 from equimus_ctrl.executors.child import Child
 from equimus_ctrl.executors.on_slurm import slurm_settings
-from equimus_ctrl.executors.versions import mismatch, versions
+from equimus_ctrl.executors.versions import OtherProcessor, mismatch, processor, versions, warn_of_mix
 from equimus_ctrl.executors.where import Where
 
 # --- work
@@ -436,3 +436,18 @@ def test_a_kept_process_of_a_client_that_is_gone_is_ended(monkeypatch: pytest.Mo
     assert other != first
     on_dask._let_go("a session")
     assert not alive(other)
+
+
+# --- processors
+
+
+def test_a_worker_with_another_processor_is_told(cluster: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    here = processor()
+    assert set(here) == {"blas", "numba"} and "" not in here.values() and "unknown" not in here.values()
+    look_at(scheduler=cluster.scheduler_address)  # those of this computer are of its kind
+    other = {**here, "numba": "cray-1"}
+    monkeypatch.setattr(on_dask, "warn_of_mix", lambda found: warn_of_mix(found, other))
+    with pytest.warns(
+        OtherProcessor, match=rf"worker tcp://.* has another processor \(numba {here['numba']}, not cray-1"
+    ):
+        look_at(scheduler=cluster.scheduler_address)

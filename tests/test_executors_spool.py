@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import itertools
+import json
 import pickle
 import threading
 import time
@@ -18,6 +19,7 @@ from equimus_ctrl.errors import NotAvailable
 from equimus_ctrl.executors import on_slurm, spool
 from equimus_ctrl.executors.calls import Call, perform
 from equimus_ctrl.executors.on_slurm import SlurmSettings
+from equimus_ctrl.executors.versions import processor
 
 pytest.importorskip("submitit", reason="submitit is not installed: pip install 'equimus-ctrl[cluster]'")
 
@@ -154,7 +156,7 @@ def test_the_client_is_seen_while_slurm_takes_its_time(jobs: Any) -> None:
 
 def test_a_job_that_is_started_again_gives_back_what_it_had(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Slurm requeues a preempted job with the same number; it never ends, as far as the client sees."""
-    for name in ("todo", "done"):
+    for name in ("todo", "done", "processors"):
         (tmp_path / name).mkdir()
     own = tmp_path / "doing" / "7_1"
     own.mkdir(parents=True)
@@ -174,6 +176,20 @@ def test_a_job_that_is_started_again_gives_back_what_it_had(tmp_path: Path, monk
     good, told = pickle.loads((tmp_path / "done" / spool.name_of(4, spool.ATTEMPTS)).read_bytes())
     assert not good and str(told) == "took 4 jobs with it, one after the other"
     assert not list(own.iterdir())
+    assert json.loads((tmp_path / "processors" / "7_1").read_bytes()) == processor()
+
+
+def test_jobs_on_another_processor_are_told_once(jobs: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    own, _ = jobs
+    told: list[Any] = []
+    monkeypatch.setattr(on_slurm, "warn_of_mix", told.append)
+    (own.folder / "processors" / "1").write_text(json.dumps(processor()))
+    within(10, lambda: not list((own.folder / "processors").iterdir()))
+    for name in ("2", "3"):
+        (own.folder / "processors" / name).write_text(json.dumps({**processor(), "blas": "other"}))
+        within(10, lambda: not list((own.folder / "processors").iterdir()))
+    within(10, lambda: told)
+    assert told == [{"job 2": {**processor(), "blas": "other"}}]
 
 
 def test_a_piece_is_known_before_anybody_can_do_it(jobs: Any, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -22,7 +22,7 @@ from equimus_ctrl.errors import NotAvailable, one_line
 from equimus_ctrl.executors.base import Executor, Prepare
 from equimus_ctrl.executors.calls import Call, Ended, Gone, failed
 from equimus_ctrl.executors.child import Child
-from equimus_ctrl.executors.versions import mismatch, versions
+from equimus_ctrl.executors.versions import mismatch, processor, versions, warn_of_mix
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -157,6 +157,8 @@ def _look_at(client: Client, address: str) -> None:
         else:
             continue
         raise NotAvailable(f"{address}: worker {worker} {why}; expected what is installed here on every worker")
+    found = client.run(processor, on_error="ignore")
+    warn_of_mix({f"{address}: worker {worker}": own for worker, own in sorted(found.items())})
 
 
 # --- on a worker

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import json
 import pickle
 import shutil
 import sys
@@ -28,6 +29,7 @@ from equimus_ctrl.executors.spool import (
     work_as_job,
     write,
 )
+from equimus_ctrl.executors.versions import mismatch, processor, warn_of_mix
 
 SHOWN_EVERY = 5.0
 """How often jobs are looked at, and the client shows that it is there [s]."""
@@ -132,12 +134,13 @@ class OnSlurm(Executor):
         super().__init__(prepare)
         self._settings, self._folder = settings, settings.folder
         self._submitter = _submitter(settings)
-        for name in ("todo", "doing", "done"):
+        for name in ("todo", "doing", "done", "processors"):
             (self._folder / name).mkdir(parents=True, exist_ok=True)
         self._numbers = itertools.count()
         self._given: dict[int, Future[bytes]] = {}
         self._jobs: dict[Any, int] = {}  # and how many times in a row jobs were lost before it without a result
         self._lost, self._failed = 0, False
+        self._mixed = False
         self._lock, self._over = threading.Lock(), threading.Event()
         self._show()
         self._threads = [threading.Thread(target=work, daemon=True) for work in (self._look, self._go_on_showing)]
@@ -180,6 +183,7 @@ class OnSlurm(Executor):
                 if time.monotonic() - last >= SHOWN_EVERY:
                     last = time.monotonic()
                     self._look_after_jobs()
+                    self._look_at_processors()
             except Gone as error:
                 self._fail(error)
             except Exception as error:
@@ -213,6 +217,17 @@ class OnSlurm(Executor):
                 raise Gone(f"jobs ended {self._lost} times in a row before any work was done; {_last(job)}")
         if (missing := wanted - len(self._jobs)) > 0:
             self._submit(missing)
+
+    def _look_at_processors(self) -> None:
+        """Warn, once, of jobs on processors of another kind than this one."""
+        found = {}
+        for path in (self._folder / "processors").glob("[!.]*"):
+            with others_rename():
+                found[f"job {path.name}"] = json.loads(path.read_bytes())
+                path.unlink(missing_ok=True)
+        if not self._mixed and any(mismatch(own, processor()) for own in found.values()):
+            self._mixed = True
+            warn_of_mix(found)
 
     def _submit(self, count: int) -> None:
         # One array in place of many jobs.
@@ -293,7 +308,8 @@ def _submitter(settings: SlurmSettings) -> Any:
 
 def _done(jobs: Iterable[Any]) -> list[Any]:
     """Those that have ended. Slurm is asked once, of all of them."""
-    ended, left = [], []
+    ended: list[Any] = []
+    left: list[Any] = []
     for job in jobs:
         (ended if job.done() else left).append(job)
     return ended + [job for k, job in enumerate(left) if job.done(force_check=k == 0)]

@@ -4,6 +4,7 @@
     <folder>/doing/<job>/<name>   that a job has taken, by renaming it
     <folder>/done/<name>          what it came to
     <folder>/client               a number that grows as long as somebody waits; jobs end when it does not
+    <folder>/processors/<job>     of which kind its processor is
     <folder>/jobs/                submitit's own
 
 So jobs take pieces as they come free, and however many there are, few jobs wait in Slurm's queue. What a job had taken
@@ -15,6 +16,7 @@ well.
 from __future__ import annotations
 
 import errno
+import json
 import pickle
 import sys
 import threading
@@ -25,6 +27,7 @@ from pathlib import Path
 
 from equimus_ctrl.executors.calls import Ended, failed
 from equimus_ctrl.executors.child import Child
+from equimus_ctrl.executors.versions import processor
 
 ATTEMPTS = 4
 """At most, of one piece; so many times in a row jobs may be submitted, too, before any more is done."""
@@ -85,6 +88,7 @@ def work_as_job(folder: Path, workers: int, path: Sequence[str]) -> None:
     sys.path += [place for place in path if place not in sys.path]
     own = folder / "doing" / str(submitit.JobEnvironment().job_id)
     own.mkdir(parents=True, exist_ok=True)
+    write(folder / "processors" / own.name, json.dumps(processor()).encode())
     put_back(folder, own)  # of the same job, before it was preempted and started again
     over = threading.Event()
     threads = [threading.Thread(target=_work_off, args=(folder, own, over)) for _ in range(workers)]

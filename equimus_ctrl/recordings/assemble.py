@@ -172,11 +172,11 @@ def _clocks(
             if np.ma.is_masked(values):
                 row = int(kept[name][np.argmax(np.ma.getmaskarray(values))])
                 raise RecordingError(f"{log.where}, {log.rows} {row + 1}{_of(table)} has no {column}, the clock")
-            own = np.ma.getdata(values)
-            clocks[name] = own.astype(np.int64) if own.dtype.kind in "ub" else own
+            counts = np.ma.getdata(values)
+            clocks[name] = counts.astype(np.int64) if counts.dtype.kind in "ub" else counts
         elif table.stamps is not None:
-            own = table.stamps
-            rows, times, said = on_log_clock(Stamps(own.received[kept[name]], own.stamped[kept[name]]))
+            stamps = table.stamps
+            rows, times, said = on_log_clock(Stamps(stamps.received[kept[name]], stamps.stamped[kept[name]]))
             found[name] = kept[name][rows], times
             checks.warn([f"{log.where}: of {len(kept[name])} messages{_of(table)} {text}" for text in said])
         else:
