@@ -84,8 +84,9 @@ def killing(address: str, every: float | None) -> Iterator[list[int]]:
         while not over.wait(every):
             with Client(address, set_as_default=False) as client:
                 pids = sorted(client.run(os.getpid).values())
-            os.kill(pids[len(killed) % len(pids)], signal.SIGKILL)
-            killed.append(pids[0])
+            chosen = pids[len(killed) % len(pids)]
+            os.kill(chosen, signal.SIGKILL)
+            killed.append(chosen)
 
     thread = threading.Thread(target=kill, daemon=True)
     if every is not None:

@@ -9,6 +9,7 @@ from __future__ import annotations
 import itertools
 import json
 import os
+import shutil
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
@@ -76,6 +77,27 @@ def new_folder(wanted: Path) -> Path:
             raise ConfigError(f"{folder}: cannot be made ({error.strerror or error})") from None
         return folder
     raise AssertionError
+
+
+@contextmanager
+def new_folder_whole(path: Path) -> Iterator[Path]:
+    """A folder to fill, that gets its name when all of it is there, and is gone where that fails.
+
+    Raises:
+        ConfigError: where it cannot be made, or something of its name is there by then.
+    """
+    presets.make_folder(path.parent)
+    half = path.with_name(f".{path.name}.{os.getpid()}.tmp")
+    try:
+        shutil.rmtree(half, ignore_errors=True)
+        half.mkdir()
+        yield half
+        check_new(path)
+        os.replace(half, path)
+    except OSError as error:
+        raise ConfigError(f"{path}: cannot be made ({error.strerror or error})") from None
+    finally:
+        shutil.rmtree(half, ignore_errors=True)
 
 
 def numbered(path: Path) -> Iterator[Path]:

@@ -89,9 +89,11 @@ def joint_state(
     return topic, "sensor_msgs/msg/JointState", at, fields
 
 
-def array(topic: str, at: float, values: Any) -> tuple[str, str, float, dict[str, Any]]:
-    """std_msgs/Float64MultiArray."""
-    layout = _kinds()["std_msgs/msg/MultiArrayLayout"](dim=[], data_offset=0)
+def array(topic: str, at: float, values: Any, label: str = "m1,m2") -> tuple[str, str, float, dict[str, Any]]:
+    """std_msgs/Float64MultiArray; without a label as most write it."""
+    kinds = _kinds()
+    dim = [kinds["std_msgs/msg/MultiArrayDimension"](label, len(values), len(values))] if label else []
+    layout = kinds["std_msgs/msg/MultiArrayLayout"](dim=dim, data_offset=0)
     return (
         topic,
         "std_msgs/msg/Float64MultiArray",
@@ -204,8 +206,14 @@ class _Pickler(pickle._Pickler):  # type: ignore[name-defined]
         return super().save(value, save_persistent_id)
 
 
-def write_torch(path: Path, arrays: dict[str, Array]) -> Path:
-    """A dictionary of tensors in the layout of torch.save (a zip with ``data.pkl`` and storages)."""
+def write_torch(path: Path, arrays: dict[str, Array], views: dict[str, Any] | None = None) -> Path:
+    """A dictionary of tensors in the layout of torch.save (a zip with ``data.pkl`` and storages).
+
+    Args:
+        path: of the file.
+        arrays: name → numbers.
+        views: name → (offset, size, stride) of some that are other views of their storage than the whole.
+    """
     held: dict[str, Any] = {}
     with zipfile.ZipFile(path, "w") as archive:
         for key, (name, values) in enumerate(arrays.items()):
@@ -213,7 +221,8 @@ def write_torch(path: Path, arrays: dict[str, Array]) -> Path:
             archive.writestr(f"archive/data/{key}", data.tobytes())
             stride = tuple(s // 4 for s in data.strides)
             storage = _Storage("FloatStorage", str(key), data.size)
-            held[name] = ("tensor", (storage, 0, tuple(data.shape), stride, False, OrderedDict()))
+            view = (views or {}).get(name, (0, tuple(data.shape), stride))
+            held[name] = ("tensor", (storage, *view, False, OrderedDict()))
         with archive.open("archive/data.pkl", "w") as file:
             _Pickler(file, protocol=2).dump(held)
     return path

@@ -84,7 +84,7 @@ CASES: list[tuple[Sequence[object], str]] = [
     (("score", "nowhere.csv"), "nowhere.csv: there is no such file"),
     (
         ("score", "nothing"),
-        "nothing: there are no CSV files in this folder; recordings, one CSV file a trial, belong in",
+        "nothing: there are no recordings in this folder; expected CSV files, one a trial, or files of other formats",
     ),
     (("score", "good.csv", "good.csv"), "good.csv: this file is given twice"),
     (("score", "empty.csv"), "empty.csv: the file is empty; a header and rows of numbers belong in it"),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import pickle
 import signal
 import sys
 import threading
@@ -20,7 +21,7 @@ from equimus_ctrl.executors.base import AHEAD, Executor
 from equimus_ctrl.executors.calls import Call, Ended, Unfit, opened, perform
 from equimus_ctrl.executors.child import Child
 from equimus_ctrl.executors.on_slurm import slurm_settings
-from equimus_ctrl.executors.versions import mismatch, versions
+from equimus_ctrl.executors.versions import OtherProcessor, mismatch, processor, versions, warn_of_mix
 from equimus_ctrl.executors.where import Where
 
 # --- work
@@ -271,9 +272,9 @@ def test_a_lost_job_s_work_is_done_by_another(tmp_path: Path, monkeypatch: pytes
 def test_jobs_that_all_end_are_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("submitit")
     monkeypatch.setattr(on_slurm, "SHOWN_EVERY", 0.3)
-    monkeypatch.setattr(on_slurm, "_job", print)  # what is submitted ends at once
+    monkeypatch.setattr(on_slurm, "work_as_job", print)  # what is submitted ends at once
     settings = slurm_settings({"cluster": "local", "jobs": 2}, tmp_path / "jobs", "jobs.toml")
-    told = "jobs in a row ended before any work was done"
+    told = "jobs ended 5 times in a row before any work was done"
     with pytest.raises(NotAvailable, match=told), on_slurm.on_slurm(settings) as pool:
         list(pool.each(square, [(1.0,), (2.0,)]))
 
@@ -394,3 +395,59 @@ def test_a_process_that_was_ended_says_so_and_is_gone() -> None:
     with pytest.raises(Ended, match=r"was ended from outside \(SIGKILL\)"):
         child.do(Call.of(square, (3.0,)))
     child.end()
+
+
+def test_a_process_that_starts_as_the_loop_ends_is_ended(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """Between its start and its being known to the loop nothing may fall."""
+    from equimus_ctrl.executors import local
+
+    starting, go_on, made = threading.Event(), threading.Event(), []
+
+    class Slow(Child):
+        def __init__(self) -> None:
+            super().__init__()
+            made.append(self)
+            if len(made) > 1:
+                starting.set()
+                go_on.wait(30)
+
+    monkeypatch.setattr(local, "Child", Slow)
+    with Where(workers=2).opened() as pool:
+        done = pool.each_apart(stays, [(tmp_path, 0.0), (tmp_path, 600.0)])
+        threading.Timer(1.0, go_on.set).start()
+        assert next(done) == (0, None)
+        assert starting.wait(30)
+        done.close()
+        within(30, lambda: not any(alive(child._process.pid) for child in made))
+
+
+def test_a_kept_process_of_a_client_that_is_gone_is_ended(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(on_dask, "IDLE", 1.5)
+    monkeypatch.setattr(on_dask, "_task", lambda: None)
+    given = pickle.dumps(Call.of(who, ()))
+    first, _ = opened(on_dask._do("a session", given))
+    time.sleep(1.0)
+    again, _ = opened(on_dask._do("a session", given))
+    time.sleep(1.0)
+    assert again == first and alive(first)  # it had something to do meanwhile
+    within(30, lambda: not alive(first))
+    assert not on_dask._idle
+    other, _ = opened(on_dask._do("a session", given))
+    assert other != first
+    on_dask._let_go("a session")
+    assert not alive(other)
+
+
+# --- processors
+
+
+def test_a_worker_with_another_processor_is_told(cluster: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    here = processor()
+    assert set(here) == {"blas", "numba"} and "" not in here.values() and "unknown" not in here.values()
+    look_at(scheduler=cluster.scheduler_address)  # those of this computer are of its kind
+    other = {**here, "numba": "cray-1"}
+    monkeypatch.setattr(on_dask, "warn_of_mix", lambda found: warn_of_mix(found, other))
+    with pytest.warns(
+        OtherProcessor, match=rf"worker tcp://.* has another processor \(numba {here['numba']}, not cray-1"
+    ):
+        look_at(scheduler=cluster.scheduler_address)

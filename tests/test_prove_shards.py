@@ -15,7 +15,7 @@ from test_prove import World
 
 from equimus_ctrl.cli.main import main
 from equimus_ctrl.errors import ConfigError
-from equimus_ctrl.executors.versions import versions
+from equimus_ctrl.executors.versions import OtherProcessor, processor, versions
 from equimus_ctrl.options import ProveOptions, Shard
 from equimus_ctrl.proof import blind
 from equimus_ctrl.workflow import prove_shards
@@ -120,6 +120,12 @@ def test_shards_that_do_not_fit(shards: Shards, tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="half: holds no shard that is done; run prove --shard with it as --output"):
         shards.merge(merge=[tmp_path / "half"])
     assert not shards.whole.exists()
+
+
+def test_shards_of_another_processor_are_merged_with_a_warning(shards: Shards) -> None:
+    shards.record(1, processor={**processor(), "blas": "openblas Prescott"})
+    with pytest.warns(OtherProcessor, match=r"two: shard 2/2 has another processor \(blas openblas Prescott, not "):
+        assert len(shards.merge().score.cases) == 2
 
 
 def test_shards_of_another_version_are_not_merged(shards: Shards) -> None:

@@ -95,7 +95,9 @@ def test_a_set_has_one_robot(tmp_path: Path, old: str, new: str, sentence: str) 
 
 
 def test_names_what_is_no_set(tmp_path: Path) -> None:
-    with pytest.raises(RecordingError, match="there are no CSV files in this folder; recordings, one CSV file a trial"):
+    with pytest.raises(
+        RecordingError, match="there are no recordings in this folder; expected CSV files, one a trial, or"
+    ):
         read_set(tmp_path)
     put(tmp_path / "poses.csv", STATIC)
     with pytest.raises(RecordingError, match="there are only static poses in this folder"):

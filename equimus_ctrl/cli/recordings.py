@@ -20,12 +20,12 @@ if TYPE_CHECKING:
 
     from equimus_ctrl.diagnosis.display_units import Reading
     from equimus_ctrl.models.model import Model
-    from equimus_ctrl.recordings import Summary
+    from equimus_ctrl.recordings import Limits, Summary
 
 app = typer.Typer(help="Import, check, export and fetch recordings.", no_args_is_help=True, rich_markup_mode="rich")
 
-High = Annotated[float, typer.Option("--command-high", help="Highest command allowed, in Pa.")]
-Low = Annotated[float, typer.Option("--command-low", help="Lowest command allowed, in Pa.")]
+High = Annotated[float | None, typer.Option("--command-high", help="Highest command allowed, in Pa (default: 50000).")]
+Low = Annotated[float | None, typer.Option("--command-low", help="Lowest command allowed, in Pa (default: 0).")]
 Rotating = Annotated[
     list[str] | None,
     typer.Option("--rotating", metavar="JOINT", help="A joint that turns without end: its angles are not judged."),
@@ -49,8 +49,8 @@ def import_(
     output: Annotated[Path, typer.Option("--output", "-o", help="Folder to write into, one CSV file a trial.")],
     force: Annotated[bool, typer.Option("--force", help="Replace files that are there already.")] = False,
     mapping: MapFile = None,
-    command_low: Low = 0.0,
-    command_high: High = 50_000.0,
+    command_low: Low = None,
+    command_high: High = None,
     as_json: Json = False,
 ) -> None:
     """Convert recordings to one CSV file a trial: all of them, or none.
@@ -68,15 +68,38 @@ def import_(
     """  # noqa: D301 (the backspace keeps the lines of the examples apart)
     from equimus_ctrl import recordings, workflow
 
-    limits = recordings.Limits(command_low=command_low, command_high=command_high)
+    limits = _limits(command_low, command_high)
     if chosen.model is None and mapping is None:
         files = recordings.convert(sources, output, force=force, limits=limits)
     else:
-        trials = workflow.gather(sources, chosen.read(sources), mapping)
+        model = chosen.read()
+        _refuse_limits_of_others(model, command_low, command_high)
+        trials = workflow.read_recorded(sources, model.robot, mapping, limits)
         files = recordings.write_set(trials, output, force=force)
     people().print(f"{len(files)} trials written to {output}", markup=False, soft_wrap=True)
     if as_json:
         print_json({"files": [str(file) for file in files]})
+
+
+def _limits(low: float | None, high: float | None, rotating: Sequence[str] = ()) -> Limits:
+    """Of pressures, the leg's where none are given."""
+    from equimus_ctrl.recordings import LEG, Limits
+
+    return Limits(
+        LEG.command_low if low is None else low,
+        LEG.command_high if high is None else high,
+        rotating=tuple(rotating),
+    )
+
+
+def _refuse_limits_of_others(model: Model, low: float | None, high: float | None) -> None:
+    from equimus_ctrl.errors import ConfigError
+
+    if (low is not None or high is not None) and not model.robot.traits.commands_are_pressures:
+        raise ConfigError(
+            f"--command-low and --command-high bound pressures in Pa, and commands of {model.name} are none; expected "
+            "neither of them"
+        )
 
 
 @app.command("import-bag")
@@ -110,8 +133,8 @@ def import_bag(
 def check(
     paths: Annotated[list[Path], typer.Argument(help="Files or folders to read.")],
     chosen: ModelChoice,
-    command_low: Low = 0.0,
-    command_high: High = 50_000.0,
+    command_low: Low = None,
+    command_high: High = None,
     rotating: Rotating = None,
     mapping: MapFile = None,
     as_json: Json = False,
@@ -135,7 +158,8 @@ def check(
     from equimus_ctrl.engines.choice import engine_for
 
     known = chosen.read(paths)
-    limits = recordings.Limits(command_low=command_low, command_high=command_high, rotating=tuple(rotating or ()))
+    _refuse_limits_of_others(known, command_low, command_high)
+    limits = _limits(command_low, command_high, rotating or ())
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", recordings.RecordingWarning)
         if known.robot.traits.commands_are_pressures:

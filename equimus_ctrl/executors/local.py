@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from concurrent.futures import Future, ThreadPoolExecutor
-from contextlib import contextmanager
+from concurrent.futures import Future, InvalidStateError, ThreadPoolExecutor
+from contextlib import contextmanager, suppress
 from typing import Any, TypeVar
 
 from equimus_ctrl import computer
 from equimus_ctrl.executors.base import Executor, Prepare
-from equimus_ctrl.executors.calls import Call, perform
+from equimus_ctrl.executors.calls import Call, Ended, perform
 from equimus_ctrl.executors.child import Child
 
 T = TypeVar("T")
@@ -22,8 +23,7 @@ class OnThisComputer(Executor):
         super().__init__(prepare)
         self._pool = pool
         self._threads = ThreadPoolExecutor(pool.count, "apart")
-        self._children: set[Child] = set()
-        self._over = False
+        self._given: set[Future[bytes]] = set()
 
     @property
     def count(self) -> int:
@@ -41,32 +41,52 @@ class OnThisComputer(Executor):
         return self._pool.each(work, tasks)
 
     def _give(self, call: Call) -> Future[bytes]:
-        return self._threads.submit(self._apart, call)
+        told: Future[bytes] = Future()
+        piece = _Apart(call)
+        told.add_done_callback(lambda done: piece.end() if done.cancelled() else None)
+        self._given.add(told)
+        self._threads.submit(self._tell, piece, told)
+        return told
 
-    def _apart(self, call: Call) -> bytes:
-        child = Child()
-        self._children.add(child)
-        try:
-            if self._over:  # closed while it was started
-                child.end()
-            return child.do(call)
-        finally:
-            self._children.discard(child)
-            child.end()
-
-    def _done(self, *given: Any) -> Iterator[tuple[int, Future[Any]]]:
-        try:
-            yield from super()._done(*given)
-        finally:  # what still runs is not wanted
-            for child in list(self._children):
-                child.end()
+    def _tell(self, piece: _Apart, told: Future[bytes]) -> None:
+        with suppress(InvalidStateError):  # cancelled meanwhile
+            try:
+                told.set_result(piece.do())
+            except BaseException as error:
+                told.set_exception(error)
+        self._given.discard(told)
 
     def close(self) -> None:
         """End all that is still being done apart."""
-        self._over = True
-        for child in list(self._children):
-            child.end()
+        for told in list(self._given):
+            told.cancel()
         self._threads.shutdown(cancel_futures=True)
+
+
+class _Apart:
+    """A piece that a process of its own does, and that may not be wanted any more before or after that is there."""
+
+    def __init__(self, call: Call) -> None:
+        self._call = call
+        self._lock = threading.Lock()
+        self._child: Child | None = None
+        self._over = False
+
+    def do(self) -> bytes:
+        with self._lock:
+            if self._over:
+                raise Ended("was not begun")
+            self._child = child = Child()
+        try:
+            return child.do(self._call)
+        finally:
+            child.end()
+
+    def end(self) -> None:
+        with self._lock:
+            self._over = True
+            if self._child is not None:
+                self._child.end()
 
 
 class InThreads(Executor):

@@ -22,7 +22,7 @@ from equimus_ctrl.errors import NotAvailable, one_line
 from equimus_ctrl.executors.base import Executor, Prepare
 from equimus_ctrl.executors.calls import Call, Ended, Gone, failed
 from equimus_ctrl.executors.child import Child
-from equimus_ctrl.executors.versions import mismatch, versions
+from equimus_ctrl.executors.versions import mismatch, processor, versions, warn_of_mix
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -33,6 +33,8 @@ COUNTED_EVERY = 2.0
 """How often the workers are counted, which come and go [s]."""
 LOOKED_EVERY = 0.5
 """How often a worker looks whether what it does is still wanted [s]."""
+IDLE = 300.0
+"""A process of a worker that has had nothing to do for so long is ended: its client may have been killed [s]."""
 
 
 class OnDask(Executor):
@@ -155,32 +157,37 @@ def _look_at(client: Client, address: str) -> None:
         else:
             continue
         raise NotAvailable(f"{address}: worker {worker} {why}; expected what is installed here on every worker")
+    found = client.run(processor, on_error="ignore")
+    warn_of_mix({f"{address}: worker {worker}": own for worker, own in sorted(found.items())})
 
 
 # --- on a worker
 
-_children: dict[tuple[str, int], Child] = {}
-"""Session and thread → the process that does its pieces that need none of their own."""
+_idle: dict[tuple[str, int], tuple[Child, threading.Timer]] = {}
+"""Session and thread → the process that waits for its next piece that needs none of its own, and what will end it."""
 
 
 def _do(session: str, given: bytes) -> bytes:
     """Have a process of this worker do a piece of work; where it is not wanted any more, that process is ended."""
     call = pickle.loads(given)
     key = session, threading.get_ident()
-    child = Child() if call.apart else _children.get(key) or _children.setdefault(key, Child())
+    child = (None if call.apart else _awake(key)) or Child()
     done = threading.Event()
     watch = threading.Thread(target=_watch, args=(_task(), child, done), daemon=True)
     watch.start()
+    kept = False
     try:
-        return child.do(call)
+        found = child.do(call)
+        kept = not call.apart
+        return found
     except Ended as error:
-        if not call.apart:
-            del _children[key]
         return failed(error)
     finally:
         done.set()
         watch.join()
-        if call.apart:
+        if kept:
+            _put_aside(key, child)
+        else:
             child.end()
 
 
@@ -199,6 +206,27 @@ def _watch(task: Any, child: Child, done: threading.Event) -> None:
             return
 
 
+def _awake(key: tuple[str, int]) -> Child | None:
+    """The process that waits for a piece; None where there is none, or it has waited too long."""
+    child, timer = _idle.pop(key, (None, None))  # whoever takes it out ends it
+    if timer is not None:
+        timer.cancel()
+    return child
+
+
+def _put_aside(key: tuple[str, int], child: Child) -> None:
+    timer = threading.Timer(IDLE, _end, (key, child))
+    timer.daemon = True
+    _idle[key] = child, timer
+    timer.start()
+
+
+def _end(key: tuple[str, int], child: Child) -> None:
+    if _idle.get(key, (None,))[0] is child and (own := _awake(key)) is not None:
+        own.end()
+
+
 def _let_go(session: str) -> None:
-    for key in [key for key in _children if key[0] == session]:
-        _children.pop(key).end()
+    for key in [key for key in list(_idle) if key[0] == session]:
+        if (child := _awake(key)) is not None:
+            child.end()

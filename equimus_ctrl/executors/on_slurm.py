@@ -1,24 +1,15 @@
-"""Work in jobs of a Slurm cluster, which submitit submits, and a folder that all of its nodes see.
-
-    <folder>/todo/0000012.3       a piece to be done, for the third time
-    <folder>/doing/<job>/<name>   that a job has taken, by renaming it
-    <folder>/done/<name>          what it came to
-    <folder>/client               a number that grows as long as somebody waits; jobs end when it does not
-    <folder>/jobs/                submitit's own
-
-So jobs take pieces as they come free, and however many there are, few jobs wait in Slurm's queue. What a job had taken
-that has ended is given to another, and so is its place. Nothing but renaming has to be atomic, as it is on NFS.
-"""
+"""Work in jobs of a Slurm cluster, which submitit submits; pieces pass through a folder, see ``spool``."""
 
 from __future__ import annotations
 
 import itertools
+import json
 import pickle
 import shutil
 import sys
 import threading
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping
 from concurrent.futures import Future, InvalidStateError
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
@@ -27,17 +18,23 @@ from typing import Any
 
 from equimus_ctrl.errors import ConfigError, NotAvailable, one_line, unknown_name
 from equimus_ctrl.executors.base import Executor, Prepare
-from equimus_ctrl.executors.calls import Call, Ended, Gone, failed
-from equimus_ctrl.executors.child import Child
+from equimus_ctrl.executors.calls import Call, Gone
+from equimus_ctrl.executors.spool import (
+    ATTEMPTS,
+    LOOKED_EVERY,
+    name_of,
+    numbers_in,
+    others_rename,
+    put_back,
+    work_as_job,
+    write,
+)
+from equimus_ctrl.executors.versions import mismatch, processor, warn_of_mix
 
-ATTEMPTS = 4
-"""At most, of one piece; so many jobs in a row may end, too, before any more is done."""
-LOOKED_EVERY, SHOWN_EVERY = 0.2, 5.0
-"""How often a folder is looked at, and how often jobs are, and the client shows that it is there [s]."""
+SHOWN_EVERY = 5.0
+"""How often jobs are looked at, and the client shows that it is there [s]."""
 LEAVES_WITHIN = 10.0
 """A job whose client is gone, before it is cancelled [s]."""
-GONE_AFTER = 120.0
-"""What the client has not shown for so long, it never will [s]."""
 OWN = {"cluster": "slurm", "jobs": 1, "workers": 1}
 """Settings that are not submitit's, with their defaults."""
 TYPES: Mapping[str, type] = {"cluster": str, "jobs": int, "workers": int}
@@ -137,16 +134,18 @@ class OnSlurm(Executor):
         super().__init__(prepare)
         self._settings, self._folder = settings, settings.folder
         self._submitter = _submitter(settings)
-        for name in ("todo", "doing", "done"):
+        for name in ("todo", "doing", "done", "processors"):
             (self._folder / name).mkdir(parents=True, exist_ok=True)
         self._numbers = itertools.count()
-        self._given: dict[int, tuple[Future[bytes], int]] = {}
-        self._jobs: list[Any] = []
-        self._lost_in_a_row, self._failed = 0, False
+        self._given: dict[int, Future[bytes]] = {}
+        self._jobs: dict[Any, int] = {}  # and how many times in a row jobs were lost before it without a result
+        self._lost, self._failed = 0, False
+        self._mixed = False
         self._lock, self._over = threading.Lock(), threading.Event()
         self._show()
-        self._looking = threading.Thread(target=self._look, daemon=True)
-        self._looking.start()
+        self._threads = [threading.Thread(target=work, daemon=True) for work in (self._look, self._go_on_showing)]
+        for thread in self._threads:
+            thread.start()
 
     @property
     def count(self) -> int:
@@ -154,21 +153,27 @@ class OnSlurm(Executor):
 
     def _give(self, call: Call) -> Future[bytes]:
         number, future = next(self._numbers), Future[bytes]()
-        _write(self._folder / "todo" / _name(number, 1), pickle.dumps(call))
-        with self._lock:
-            self._given[number] = future, 1
+        with self._lock:  # before anybody can have done it
+            self._given[number] = future
+        write(self._folder / "todo" / name_of(number, 1), pickle.dumps(call))
         future.add_done_callback(lambda done: self._drop(number) if done.cancelled() else None)
         return future
 
     def _drop(self, number: int) -> None:
         with self._lock:
-            _, attempt = self._given.pop(number, (None, 0))
-        (self._folder / "todo" / _name(number, attempt)).unlink(missing_ok=True)
-        for path in self._folder.glob(f"doing/*/{_name(number, attempt)}"):  # who does it sees that it is gone
-            path.unlink(missing_ok=True)
+            self._given.pop(number, None)
+            for where in ("todo", "doing/*"):  # who does it sees that it is gone
+                for path in self._folder.glob(f"{where}/{name_of(number, '*')}"):
+                    path.unlink(missing_ok=True)
 
     def _show(self) -> None:
-        _write(self._folder / "client", str(time.monotonic_ns()).encode())
+        write(self._folder / "client", str(time.monotonic_ns()).encode())
+
+    def _go_on_showing(self) -> None:
+        """In a thread of its own: asking Slurm may take long, and jobs leave a client that is not seen."""
+        while not self._over.wait(SHOWN_EVERY):
+            with suppress(OSError):  # the next may succeed, and what cannot be written at all the other thread tells
+                self._show()
 
     def _look(self) -> None:
         last = -SHOWN_EVERY
@@ -177,8 +182,8 @@ class OnSlurm(Executor):
                 self._take()
                 if time.monotonic() - last >= SHOWN_EVERY:
                     last = time.monotonic()
-                    self._show()
                     self._look_after_jobs()
+                    self._look_at_processors()
             except Gone as error:
                 self._fail(error)
             except Exception as error:
@@ -188,67 +193,72 @@ class OnSlurm(Executor):
         for path in sorted((self._folder / "done").iterdir()):
             if path.name.startswith("."):
                 continue
-            number, _ = _numbers_in(path.name)
-            found = path.read_bytes()
-            path.unlink(missing_ok=True)
-            self._tell(number, found)
+            number, _ = numbers_in(path.name)
+            with others_rename():  # what is stale now is there at the next look
+                found = path.read_bytes()
+                path.unlink(missing_ok=True)
+                self._tell(number, found)
 
     def _tell(self, number: int, found: bytes) -> None:
         with self._lock:
-            future, _ = self._given.pop(number, (None, 0))
+            future = self._given.pop(number, None)
         if future is not None:
-            self._lost_in_a_row = 0
+            self._lost, self._jobs = 0, dict.fromkeys(self._jobs, 0)
             with suppress(InvalidStateError):
                 future.set_result(found)
 
     def _look_after_jobs(self) -> None:
         with self._lock:
             wanted = min(self._settings.jobs, -(-len(self._given) // self._settings.workers))
-        for job in [job for job in self._jobs if job.done(force_check=True)]:
-            self._jobs.remove(job)
-            self._lost_in_a_row += 1
+        for job in _done(self._jobs):
+            self._lost = max(self._lost, self._jobs.pop(job) + 1)  # those of one round may end together
             self._give_again(str(job.job_id))
-            if self._lost_in_a_row > ATTEMPTS:
-                raise Gone(f"{self._lost_in_a_row} jobs in a row ended before any work was done; {_last(job)}")
+            if self._lost > ATTEMPTS:
+                raise Gone(f"jobs ended {self._lost} times in a row before any work was done; {_last(job)}")
         if (missing := wanted - len(self._jobs)) > 0:
             self._submit(missing)
+
+    def _look_at_processors(self) -> None:
+        """Warn, once, of jobs on processors of another kind than this one."""
+        found = {}
+        for path in (self._folder / "processors").glob("[!.]*"):
+            with others_rename():
+                found[f"job {path.name}"] = json.loads(path.read_bytes())
+                path.unlink(missing_ok=True)
+        if not self._mixed and any(mismatch(own, processor()) for own in found.values()):
+            self._mixed = True
+            warn_of_mix(found)
 
     def _submit(self, count: int) -> None:
         # One array in place of many jobs.
         with self._submitter.batch():
             jobs = [
-                self._submitter.submit(_job, self._folder.resolve(), self._settings.workers, list(sys.path))
+                self._submitter.submit(work_as_job, self._folder.resolve(), self._settings.workers, list(sys.path))
                 for _ in range(count)
             ]
-        self._jobs += jobs
+        self._jobs |= dict.fromkeys(jobs, self._lost)
 
     def _give_again(self, job: str) -> None:
-        for path in sorted((self._folder / "doing" / job).glob("[0-9]*")):
-            number, attempt = _numbers_in(path.name)
-            with self._lock:
-                future, _ = self._given.get(number, (None, 0))
-                if future is not None:
-                    self._given[number] = future, attempt + 1
-            if future is None:
-                path.unlink(missing_ok=True)
-            elif attempt < ATTEMPTS:
-                path.replace(self._folder / "todo" / _name(number, attempt + 1))
-            else:
-                path.unlink(missing_ok=True)
-                self._tell(number, failed(Ended(f"took {ATTEMPTS} jobs with it, one after the other")))
+        with self._lock:
+            own = self._folder / "doing" / job
+            for path in own.glob("[0-9]*"):
+                if numbers_in(path.name)[0] not in self._given:
+                    path.unlink(missing_ok=True)
+            put_back(self._folder, own)
 
     def _fail(self, error: Gone) -> None:
         self._failed = True
         with self._lock:
             given, self._given = list(self._given.values()), {}
-        for future, _ in given:
+        for future in given:
             with suppress(InvalidStateError):
                 future.set_exception(error)
 
     def close(self) -> None:
         """End all jobs, and take the folder away, which stays where they have failed: their logs are in it."""
         self._over.set()
-        self._looking.join()
+        for thread in self._threads:
+            thread.join()
         (self._folder / "client").unlink(missing_ok=True)  # which ends those that run
         for job in self._jobs:
             if job.state != "RUNNING":
@@ -263,7 +273,7 @@ class OnSlurm(Executor):
     def _ended(self, seconds: float) -> bool:
         """Whether all jobs have ended before so long."""
         until = time.monotonic() + seconds
-        while not all(job.done(force_check=True) for job in self._jobs):
+        while len(_done(self._jobs)) < len(self._jobs):
             if time.monotonic() > until:
                 return False
             time.sleep(LOOKED_EVERY)
@@ -296,6 +306,15 @@ def _submitter(settings: SlurmSettings) -> Any:
     return submitter
 
 
+def _done(jobs: Iterable[Any]) -> list[Any]:
+    """Those that have ended. Slurm is asked once, of all of them."""
+    ended: list[Any] = []
+    left: list[Any] = []
+    for job in jobs:
+        (ended if job.done() else left).append(job)
+    return ended + [job for k, job in enumerate(left) if job.done(force_check=k == 0)]
+
+
 def _cancel(job: Any) -> None:
     with suppress(Exception):  # it may have ended meanwhile
         job.cancel(check=False)
@@ -305,90 +324,3 @@ def _last(job: Any) -> str:
     """What a job said last."""
     lines = [line for line in (job.stderr() or "").splitlines() if line.strip()]
     return f"job {job.job_id} ({job.state}) said last: {one_line(lines[-1]) if lines else 'nothing'}"
-
-
-def _name(number: int, attempt: int) -> str:
-    return f"{number:07d}.{attempt}"
-
-
-def _numbers_in(name: str) -> tuple[int, int]:
-    number, attempt = name.split(".")
-    return int(number), int(attempt)
-
-
-def _write(path: Path, data: bytes) -> None:
-    half = path.with_name(f".{path.name}.tmp")
-    half.write_bytes(data)
-    half.replace(path)
-
-
-# --- in a job
-
-
-def _job(folder: Path, workers: int, path: Sequence[str]) -> None:
-    """Take pieces and do them, until the client is gone; modules are found where it finds them, see ``sys.path``."""
-    sys.path += [place for place in path if place not in sys.path]
-    own = folder / "doing" / str(_submitit().JobEnvironment().job_id)
-    own.mkdir(parents=True, exist_ok=True)
-    over = threading.Event()
-    threads = [threading.Thread(target=_work_off, args=(folder, own, over)) for _ in range(workers)]
-    for thread in threads:
-        thread.start()
-    last, seen = None, time.monotonic()
-    try:
-        while time.monotonic() - seen < GONE_AFTER and any(thread.is_alive() for thread in threads):
-            with suppress(FileNotFoundError):
-                if (now := (folder / "client").read_bytes()) != last:
-                    last, seen = now, time.monotonic()
-                time.sleep(LOOKED_EVERY * SHOWN_EVERY)
-                continue
-            return  # the client has taken it away
-    finally:
-        over.set()
-        for thread in threads:
-            thread.join()
-
-
-def _work_off(folder: Path, own: Path, over: threading.Event) -> None:
-    kept: Child | None = None
-    try:
-        while not over.wait(0 if (taken := _taken(folder, own)) else LOOKED_EVERY):
-            if taken is None:
-                continue
-            call = pickle.loads(taken.read_bytes())
-            child = Child() if call.apart else (kept := kept or Child())
-            done = threading.Event()
-            watch = threading.Thread(target=_watch, args=(taken, child, over, done), daemon=True)
-            watch.start()
-            try:
-                found = child.do(call)
-            except Ended as error:
-                kept = kept if call.apart else None
-                found = failed(error)
-            finally:
-                done.set()
-                watch.join()
-                if call.apart:
-                    child.end()
-            if not over.is_set() and taken.exists():
-                _write(folder / "done" / taken.name, found)
-                taken.unlink(missing_ok=True)
-    finally:
-        if kept is not None:
-            kept.end()
-
-
-def _taken(folder: Path, own: Path) -> Path | None:
-    """A piece that nobody else has taken; None of none."""
-    with suppress(FileNotFoundError):
-        for path in sorted((folder / "todo").glob("[0-9]*")):
-            with suppress(FileNotFoundError):  # somebody was faster
-                return path.rename(own / path.name)
-    return None
-
-
-def _watch(taken: Path, child: Child, over: threading.Event, done: threading.Event) -> None:
-    while not done.wait(LOOKED_EVERY):
-        if over.is_set() or not taken.exists():
-            child.end()
-            return

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import io
 import json
+import math
 import pickle
 import zipfile
 from collections import OrderedDict
@@ -23,7 +24,7 @@ from numpy.typing import NDArray
 from equimus_ctrl.errors import RecordingError
 from equimus_ctrl.presets import check_regular, write_bytes
 from equimus_ctrl.recordings.assemble import elements
-from equimus_ctrl.recordings.logs import Log, Table, Wanted, flat, reading
+from equimus_ctrl.recordings.logs import Log, Table, Wanted, flat, notes_in, reading
 from equimus_ctrl.recordings.mapping import Mapping as ColumnMapping
 from equimus_ctrl.recordings.mapping import Source
 
@@ -69,9 +70,9 @@ def read_torch(path: Path) -> list[Log]:
             if inside is None:
                 raise RecordingError(f"{path}: has no data.pkl in it, expected what torch.save writes")
             data = _Tensors(archive, inside).load()
-    if not isinstance(data, Mapping):
-        raise RecordingError(f"{path}: holds a {type(data).__name__}, expected a dictionary of tensors")
-    arrays = {str(key): value.array() for key, value in data.items() if isinstance(value, _Tensor)}
+        if not isinstance(data, Mapping):
+            raise RecordingError(f"{path}: holds a {type(data).__name__}, expected a dictionary of tensors")
+        arrays = {str(key): value.array() for key, value in data.items() if isinstance(value, _Tensor)}
     if not arrays:
         raise RecordingError(f"{path}: holds no tensors, expected a dictionary of them")
     return [_log(path, arrays, "a file of tensors")]
@@ -81,22 +82,12 @@ def _log(path: Path, arrays: Mapping[str, NDArray[Any]], form: str) -> Log:
     notes = {"source": path.name}
     texts = {key: values for key, values in arrays.items() if values.dtype.kind in "US" and values.ndim == 0}
     if NOTES in texts:
-        notes = _notes(path, str(texts[NOTES]))
+        notes = notes_in(path, str(texts[NOTES]))
     columns = flat({key: values for key, values in arrays.items() if values.ndim in (1, 2) and key not in texts})
     clock = next((key for key in CLOCKS if key in columns), "")
     if clock:
         columns = {key: values for key, values in columns.items() if len(values) == len(columns[clock])} or columns
     return Log(path, path.stem, (Table.of(columns),), form, found, notes, clock)
-
-
-def _notes(path: Path, text: str) -> dict[str, str]:
-    try:
-        notes = json.loads(text)
-    except ValueError:
-        notes = None
-    if not isinstance(notes, dict) or not all(isinstance(value, str) for value in notes.values()):
-        raise RecordingError(f'{path}: notes is no JSON object of texts, expected one such as {{"source": "…"}}')
-    return notes
 
 
 def found(log: Log, wanted: Wanted, mapping: ColumnMapping) -> dict[str, Source]:
@@ -145,11 +136,19 @@ class _Tensor:
     stride: tuple[int, ...]
 
     def array(self) -> NDArray[Any]:
-        """As an array of its own."""
+        """As an array of its own.
+
+        Raises:
+            ValueError: where one of its numbers lies outside the storage, or it has more than that.
+        """
         whole = len(self.numbers)
         last = self.offset + sum((n - 1) * s for n, s in zip(self.size, self.stride, strict=True))
-        if any(n < 0 for n in self.size) or any(s < 0 for s in self.stride) or (0 not in self.size and last >= whole):
-            raise ValueError(f"a tensor of {self.size} lies outside its {whole} numbers")
+        negative = min((self.offset, *self.size, *self.stride)) < 0
+        if negative or self.offset > whole or math.prod(self.size) > whole or (0 not in self.size and last >= whole):
+            raise ValueError(
+                f"a tensor of {self.size} with strides {self.stride} from {self.offset} on lies outside its {whole} "
+                "numbers"
+            )
         steps = tuple(s * self.numbers.itemsize for s in self.stride)
         return np.array(np.lib.stride_tricks.as_strided(self.numbers[self.offset :], self.size, steps))
 
@@ -169,7 +168,7 @@ class _Tensors(pickle.Unpickler):
         if module == "torch" and name in STORAGES:
             return _Storage(name)
         if (module, name) in (("torch._utils", "_rebuild_tensor_v2"), ("torch._utils", "_rebuild_tensor")):
-            return _rebuild
+            return lambda *given: _rebuild(*given)  # a pickle may set attributes of what it is handed
         if (module, name) == ("collections", "OrderedDict"):
             return OrderedDict
         raise RecordingError(

@@ -11,79 +11,24 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping as Table
 from collections.abc import Sequence
-from dataclasses import dataclass
-from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from equimus_ctrl.errors import ConfigError, RecordingError, nearest, unknown_name
 from equimus_ctrl.recordings import checks, csvfile
+from equimus_ctrl.recordings.arraysheet import ArraySheet
 from equimus_ctrl.recordings.checks import Limits
 from equimus_ctrl.recordings.logs import Log, Wanted
 from equimus_ctrl.recordings.logs import Table as LogTable
 from equimus_ctrl.recordings.mapping import Mapping, Source, si_unit
+from equimus_ctrl.recordings.messages import Stamps, on_log_clock
 from equimus_ctrl.recordings.sheet import number
 from equimus_ctrl.recordings.units import TIMES, factor
 from equimus_ctrl.types import Array, Recording
 
 NO_MAPPING = Mapping()
-
-
-@dataclass(frozen=True, eq=False)
-class ArraySheet:
-    """Columns of a recording that are arrays already; ``sheet.Sheet`` without a text.
-
-    Attributes:
-        path: of the file.
-        name: of the trial.
-        form: what a row is called.
-        notes: (number, text) of each.
-        columns: name → (n,) values in SI units.
-    """
-
-    path: Path
-    name: str
-    form: str
-    notes: tuple[tuple[int, str], ...]
-    columns: Table[str, Array]
-
-    @property
-    def header(self) -> tuple[str, ...]:
-        """Names of the columns."""
-        return tuple(self.columns)
-
-    @property
-    def line_numbers(self) -> Sequence[int]:
-        """Of each row."""
-        return range(1, len(self.columns["time"]) + 1)
-
-    @property
-    def where(self) -> str:
-        """For messages."""
-        return str(self.path) if self.name == self.path.stem else f"{self.path} ({self.name})"
-
-    def error(self, row: int, column: str, problem: str) -> RecordingError:
-        """Of row ``row`` (from 0 on) of a column."""
-        return RecordingError(f"{self.where}, row {row + 1}, column {column}: {problem}")
-
-    def header_error(self, problem: str) -> RecordingError:
-        """Of the columns as a whole."""
-        return RecordingError(f"{self.where}: {problem}")
-
-    def numbers(self, columns: Sequence[str]) -> Array:
-        """(n, len(columns)) finite numbers.
-
-        Raises:
-            RecordingError: where there are none, or one is not finite.
-        """
-        values = np.column_stack([self.columns[column] for column in columns])
-        if not len(values):
-            raise self.header_error("holds no rows")
-        if not np.isfinite(values).all():
-            row, k = (int(i) for i in np.argwhere(~np.isfinite(values))[0])
-            raise self.error(row, columns[k], f"{values[row, k]} is not finite; a finite number belongs there")
-        return values
 
 
 def recording_of(log: Log, limits: Limits, wanted: Wanted | None = None, mapping: Mapping | None = None) -> Recording:
@@ -120,7 +65,7 @@ def _sources(log: Log, wanted: Wanted | None, mapping: Mapping) -> dict[str, Sou
     needed = [prefix for prefix in ("pos", "cmd") if prefix not in prefixes]
     if wanted is not None and not wanted.actuators:
         needed = [prefix for prefix in needed if prefix != "cmd"]
-    found: Table[str, Source] = native(log) or {}
+    found: Table[str, Source] = native(log, bool(needed))
     if needed and not {target.partition(".")[0] for target in found}.issuperset(needed):
         if log.found is None:
             raise RecordingError(
@@ -141,15 +86,24 @@ def _words(prefixes: Sequence[str]) -> list[str]:
     return [{"pos": "the position of which joint", "cmd": "the command of which actuator"}[own] for own in prefixes]
 
 
-def native(log: Log) -> dict[str, Source] | None:
-    """Columns that have the names of a recording's; None where there are none."""
+def native(log: Log, needed: bool) -> dict[str, Source]:
+    """Columns that have the names of a recording's.
+
+    ROS has other names for its messages' fields. What of a topic nobody asks for is not read at all.
+
+    Args:
+        log: of what.
+        needed: whether there is something that a mapping does not name.
+    """
     found = {}
     for table in log.tables:
+        if table.name and (not needed or "/msg/" in table.kind):
+            continue
         for column in table.columns:
             prefix, dot, name = column.partition(".")
             if dot and name and (prefix in csvfile.PREFIXES or csvfile.is_site(column)):
                 found[column] = Source(column, table.name)
-    return found if any(target.startswith("pos.") for target in found) else None
+    return found
 
 
 def _value(log: Log, table: LogTable, target: str, source: Source, wanted: Wanted | None, mapping: Mapping) -> Array:
@@ -163,6 +117,13 @@ def _value(log: Log, table: LogTable, target: str, source: Source, wanted: Wante
             "finite number belongs there"
         )
     unit = mapping.unit_of(target, source)
+    if unit is None and source.scale is None and source.column in log.units:
+        unit = log.units[source.column]
+        if not unit:
+            raise RecordingError(
+                f"{log.where}: what {source.column} measures is not in the file; expected a unit or a scale of "
+                f"{target} in {mapping.where}"
+            )
     size = source.scale
     if size is None:
         size = 1.0 if unit is None else factor(unit, si_unit(target, wanted), f"{mapping.where}: {target}")
@@ -194,20 +155,41 @@ def _present(log: Log, table: LogTable, targets: Table[str, Source], values: Tab
     return np.asarray(~absent.all(axis=1))
 
 
-def _times(log: Log, table: LogTable, mapping: Mapping) -> tuple[Array, bool]:
-    """(n,) times of a table [s], and whether they count from some other beginning than the trial's."""
-    column = mapping.clock.column or ("" if table.time is not None else log.clock)
-    if not column:
-        if table.time is None:
+def _clocks(
+    log: Log, kept: Table[str, NDArray[np.intp]], mapping: Mapping
+) -> tuple[dict[str, tuple[NDArray[np.intp], Array]], bool]:
+    """Of each table the rows that count and their times [s], and whether these have a beginning that is nobody's.
+
+    All tables have one origin, so that what was sent and what was measured keep their distance.
+    """
+    tables = {table.name: table for table in log.tables if table.name in kept}
+    clocks: dict[str, NDArray[Any]] = {}
+    found: dict[str, tuple[NDArray[np.intp], Array]] = {}
+    for name, table in tables.items():
+        column = mapping.clock.column or ("" if table.stamps is not None else log.clock)
+        if column:
+            values = log.column(table, column)[kept[name]]
+            if np.ma.is_masked(values):
+                row = int(kept[name][np.argmax(np.ma.getmaskarray(values))])
+                raise RecordingError(f"{log.where}, {log.rows} {row + 1}{_of(table)} has no {column}, the clock")
+            counts = np.ma.getdata(values)
+            clocks[name] = counts.astype(np.int64) if counts.dtype.kind in "ub" else counts
+        elif table.stamps is not None:
+            stamps = table.stamps
+            rows, times, said = on_log_clock(Stamps(stamps.received[kept[name]], stamps.stamped[kept[name]]))
+            found[name] = kept[name][rows], times
+            checks.warn([f"{log.where}: of {len(kept[name])} messages{_of(table)} {text}" for text in said])
+        else:
             raise RecordingError(
                 f"{log.where}: {log.form} has no clock; expected a mapping with a column under [clock]"
             )
-        return table.time, True
-    values = log.column(table, column)
     unit = TIMES[mapping.clock.unit]
-    if unit != 1.0 and len(values):  # whole numbers of an epoch in ns are more than a double holds
-        return (values - values[0]).astype(np.float64) * unit, False
-    return values.astype(np.float64), False
+    begun = [own[0] for own in clocks.values() if len(own)]
+    for name, own in clocks.items():
+        # Whole numbers of an epoch in ns are more than a double holds.
+        counted = own if unit == 1.0 or not begun else own - min(begun)
+        found[name] = kept[name], counted.astype(np.float64) * unit
+    return found, not clocks
 
 
 def _on_one_clock(
@@ -218,17 +200,17 @@ def _on_one_clock(
     values = {
         target: _value(log, tables[target], target, source, wanted, mapping) for target, source in sources.items()
     }
-    kept: dict[int, NDArray[np.bool_]] = {}
-    for own in {id(table): table for table in tables.values()}.values():
+    kept: dict[str, NDArray[np.intp]] = {}
+    for own in {table.name: table for table in tables.values()}.values():
         inside = {target: sources[target] for target, table in tables.items() if table is own}
+        there = np.ones(len(values[next(iter(inside))]), dtype=bool)
         for group in (
             {t: s for t, s in inside.items() if t.startswith("cmd.")},
             {t: s for t, s in inside.items() if not t.startswith("cmd.")},
         ):
             if group:
-                there = _present(log, own, group, values)
-                kept[id(own)] = kept.get(id(own), there) & there
-    values = {target: np.ma.getdata(column)[kept[id(tables[target])]] for target, column in values.items()}
+                there &= _present(log, own, group, values)
+        kept[own.name] = np.flatnonzero(there)
     measured = {target: table for target, table in tables.items() if not target.startswith("cmd.")}
     if not measured:
         raise RecordingError(f"{log.where}: nothing that was measured is mapped; expected pos.<joint> of all joints")
@@ -239,19 +221,20 @@ def _on_one_clock(
                 f"{log.where}: {target} is from {table.name} and {next(iter(measured))} from {own.name}; expected all "
                 "that was measured in one topic, since numbers between its messages would be made up"
             )
-    clocks = {
-        key: (found[0][kept[key]], found[1])
-        for key, table in {id(table): table for table in tables.values()}.items()
-        for found in [_times(log, table, mapping)]
-    }
-    times, foreign = clocks[id(own)]
-    senders = list(dict.fromkeys(id(table) for target, table in tables.items() if target.startswith("cmd.")))
-    if all(sender == id(own) for sender in senders):
+    # Only now is it known which messages are the robot's, and so which stamps are of one sender.
+    clocks, foreign = _clocks(log, kept, mapping)
+    values = {target: np.ma.getdata(column)[clocks[tables[target].name][0]] for target, column in values.items()}
+    times = clocks[own.name][1]
+    senders = list(dict.fromkeys(table.name for target, table in tables.items() if target.startswith("cmd.")))
+    chosen = {"topic.states": own.name, "topic.commands": ", ".join(senders)}
+    notes = {key: name for key, name in chosen.items() if name}
+    if all(sender == own.name for sender in senders):
         if foreign and len(times):
             times = times - times[0]
-        return {"time": times, **values}, {}
-    commands = {target: clocks[id(table)][0] for target, table in tables.items() if target.startswith("cmd.")}
-    return _merged(log, mapping, times, commands, values)
+        return {"time": times, **values}, notes
+    commands = {target: clocks[table.name][1] for target, table in tables.items() if target.startswith("cmd.")}
+    columns, more = _merged(log, mapping, times, commands, values)
+    return columns, notes | more
 
 
 def _merged(

@@ -1,8 +1,9 @@
 """rosbag2 bags (SQLite and MCAP), read by the rosbags library: any topics, of whatever messages.
 
 Without a mapping, positions are those of the ``sensor_msgs/msg/JointState`` that has the robot's joints, and commands
-those of the one topic that can be commands: ``std_msgs/msg/Float64MultiArray``, another ``JointState``, or a
-``trajectory_msgs/msg/JointTrajectory`` of single points. Where there are several, a mapping chooses.
+those of the one topic that says it is commands: a ``trajectory_msgs/msg/JointTrajectory`` of single points, or, where
+the topic's name has a word for it, a ``std_msgs/msg/Float64MultiArray`` or another ``JointState``. Where there is none
+or several, a mapping chooses. The order of an array's numbers is in its layout's labels or in a mapping.
 """
 
 from __future__ import annotations
@@ -15,22 +16,22 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from equimus_ctrl.errors import RecordingError
 from equimus_ctrl.recordings.assemble import elements
 from equimus_ctrl.recordings.exported import Exported
-from equimus_ctrl.recordings.logs import Log, Table, Wanted, needs, reading
+from equimus_ctrl.recordings.logs import Loaded, Log, Table, Wanted, needs, reading, stem
 from equimus_ctrl.recordings.mapping import Mapping as ColumnMapping
 from equimus_ctrl.recordings.mapping import Source
-from equimus_ctrl.recordings.messages import NANO, columns_of
-from equimus_ctrl.types import Array
+from equimus_ctrl.recordings.messages import NANO, columns_of, stamp_of
 
 STATE = "sensor_msgs/msg/JointState"
 ARRAY = "std_msgs/msg/Float64MultiArray"
 TRAJECTORY = "trajectory_msgs/msg/JointTrajectory"
 SCALAR = "std_msgs/msg/Float64"
 COMMANDS = (ARRAY, STATE, TRAJECTORY, SCALAR)
+SAY_COMMAND = ("command", "cmd", "goal", "target", "desired", "setpoint", "reference")
+"""Words in the name of a topic of commands."""
 WHAT = "bag"
 
 
@@ -60,16 +61,16 @@ def read_bag(path: Path) -> list[Log]:
                     f"{connection.msgtype}, expected one type"
                 )
     tables = tuple(Table(name, kind, partial(_load, path, name)) for name, kind in sorted(kinds.items()))
-    return [Log(path, path.stem, tables, "a bag", found, {"source": path.name}, rows="message")]
+    return [Log(path, stem(path), tables, "a bag", found, {"source": path.name}, rows="message")]
 
 
-def _load(path: Path, name: str) -> tuple[Array, Mapping[str, NDArray[Any]]]:
+def _load(path: Path, name: str) -> Loaded:
     with reading(path, WHAT):
         return columns_of(_messages(path, name))
 
 
-def _messages(path: Path, name: str) -> Iterator[tuple[float, float | None, Any]]:
-    """(received, stamped, message) by the bag's clock, from its first message on [s]."""
+def _messages(path: Path, name: str) -> Iterator[tuple[float, int | None, Any]]:
+    """(received by the bag's clock from its first message on [s], stamped [ns], message)."""
     from rosbags.highlevel import AnyReader
     from rosbags.typesys import Stores, get_typestore
 
@@ -78,9 +79,7 @@ def _messages(path: Path, name: str) -> Iterator[tuple[float, float | None, Any]
         chosen = [connection for connection in reader.connections if connection.topic == name]
         for connection, received, raw in reader.messages(connections=chosen):
             message: Any = reader.deserialize(raw, connection.msgtype)
-            stamp = getattr(getattr(message, "header", None), "stamp", None)
-            stamped = None if stamp is None else stamp.sec + stamp.nanosec / NANO
-            yield (received - begun) / NANO, stamped, message
+            yield (received - begun) / NANO, stamp_of(message), message
 
 
 def found(log: Log, wanted: Wanted, mapping: ColumnMapping) -> dict[str, Source]:
@@ -124,10 +123,12 @@ def _command_topic(log: Log, states: Table, mapping: ColumnMapping) -> Table:
     own = [table for table in log.tables if table.kind in COMMANDS and table is not states]
     if not own:
         raise _no_topic(log, " or ".join(COMMANDS), "commands")
-    usual = [table for table in own if "command" in table.name or table.name.endswith("joint_trajectory")]
-    if len(own) > 1 and len(usual) != 1:
-        raise _several(log, own, "commands")
-    return (usual or own)[0]
+    said = [
+        table for table in own if table.kind == TRAJECTORY or any(word in table.name.lower() for word in SAY_COMMAND)
+    ]
+    if len(said) != 1:  # a filtered state is no command, however alike the two are
+        raise _several(log, said or own, "commands")
+    return said[0]
 
 
 def _of_kind(log: Log, name: str, kinds: tuple[str, ...]) -> Table:
@@ -154,10 +155,12 @@ def _commands(log: Log, table: Table, wanted: Wanted, mapping: ColumnMapping) ->
     fields = {name: _field(unit, goal) for name, unit, goal in zip(
         wanted.actuators, wanted.command_units, wanted.goals, strict=True)}  # fmt: skip
     if table.kind in (ARRAY, SCALAR):
-        if mapping.names.get("cmd") is None:  # a forward_command_controller has its joints in the robot's order
-            _check_count(log, table, wanted)
-            listed = [column for column in table.columns if column == "data" or column.startswith("data[")]
-            return {f"cmd.{n}": Source(c, table.name) for n, c in zip(wanted.actuators, listed, strict=True)}
+        labelled = {
+            n: next((c for own in names[n] if (c := f"data.{own}") in table.columns), "") for n in wanted.actuators
+        }
+        if mapping.names.get("cmd") is None and all(labelled.values()):
+            return {f"cmd.{n}": Source(column, table.name) for n, column in labelled.items()}
+        _check_count(log, table, wanted, mapping)
         return elements(log, table, "data", wanted.actuators, "cmd", mapping, {})
     if table.kind == TRAJECTORY:
         return _points(log, table, wanted, fields, names)
@@ -167,9 +170,9 @@ def _commands(log: Log, table: Table, wanted: Wanted, mapping: ColumnMapping) ->
     return found
 
 
-def _check_count(log: Log, table: Table, wanted: Wanted) -> None:
+def _check_count(log: Log, table: Table, wanted: Wanted, mapping: ColumnMapping) -> None:
     count = sum(column == "data" or column.startswith("data[") for column in table.columns)
-    if count != len(wanted.actuators):
+    if mapping.names.get("cmd") is None and count != len(wanted.actuators):
         raise RecordingError(
             f"{log.where}: {table.name} has {count} numbers a message, expected {len(wanted.actuators)}, one for "
             f"each of {', '.join(wanted.actuators)}"
@@ -228,7 +231,9 @@ def write_bag(path: Path, trial: Exported) -> None:
     for own in trial.predictions:
         for what, block in (("position", own.position), ("residual", recording.position - own.position)):
             states[f"/{own.model}/{what}"] = (block, velocity[:, :0])
-    layout = kinds["std_msgs/msg/MultiArrayLayout"](dim=[], data_offset=0)
+    count = len(recording.actuators)  # an array does not say what its numbers are, so its layout does
+    labels = kinds["std_msgs/msg/MultiArrayDimension"](",".join(recording.actuators), count, count)
+    layout = kinds["std_msgs/msg/MultiArrayLayout"](dim=[labels], data_offset=0)
     half = path.with_name(f".{path.name}.{os.getpid()}.tmp")
     try:
         shutil.rmtree(half, ignore_errors=True)

@@ -6,6 +6,7 @@ make logs; ``mapping`` says what their columns are; ``assemble`` makes recording
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -17,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from equimus_ctrl.errors import EquimusError, NotAvailable, RecordingError, nearest, one_line
-from equimus_ctrl.types import Array
+from equimus_ctrl.recordings.messages import Stamps
 
 MOST_NAMED = 12
 """Columns that a message names."""
@@ -53,7 +54,7 @@ LEG = Wanted(("hip", "knee"), ("maa", "baa"), ("rad", "rad"), ("Pa", "Pa"), (Fal
 """Of the EquiMus leg."""
 
 
-Loaded = tuple[Array | None, Mapping[str, NDArray[Any]]]
+Loaded = tuple[Stamps | None, Mapping[str, NDArray[Any]]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,7 +64,7 @@ class Table:
     Attributes:
         name: of the topic; empty of a file that has one table.
         kind: type of the messages.
-        load: gives the times (n,) [s] and name → (n,) values; None for times where the clock is a column.
+        load: gives when messages were, and name → (n,) values; None for the first where the clock is a column.
     """
 
     name: str
@@ -71,19 +72,17 @@ class Table:
     load: Callable[[], Loaded]
 
     @classmethod
-    def of(
-        cls, columns: Mapping[str, NDArray[Any]], time: Array | None = None, name: str = "", kind: str = ""
-    ) -> Table:
+    def of(cls, columns: Mapping[str, NDArray[Any]]) -> Table:
         """Of what is there already."""
-        return cls(name, kind, lambda: (time, columns))
+        return cls("", "", lambda: (None, columns))
 
     @cached_property
     def _loaded(self) -> Loaded:
         return self.load()
 
     @property
-    def time(self) -> Array | None:
-        """(n,) times of messages [s], where the clock is no column."""
+    def stamps(self) -> Stamps | None:
+        """When messages were, where the clock is no column."""
         return self._loaded[0]
 
     @property
@@ -105,6 +104,8 @@ class Log:
         notes: provenance, and what the file says of itself.
         clock: name of the column that is the clock; empty where tables have one of their own.
         rows: what a row is called in messages.
+        units: column → unit of its numbers by the format itself; empty where the format leaves it open. Of columns that
+            are not here it is SI.
     """
 
     path: Path
@@ -115,11 +116,12 @@ class Log:
     notes: Mapping[str, str] = field(default_factory=dict)
     clock: str = ""
     rows: str = "sample"
+    units: Mapping[str, str] = field(default_factory=dict)
 
     @property
     def where(self) -> str:
         """For messages."""
-        return str(self.path) if self.name == self.path.stem else f"{self.path} ({self.name})"
+        return str(self.path) if self.name == stem(self.path) else f"{self.path} ({self.name})"
 
     def topic(self, name: str) -> Table:
         """The table of a topic.
@@ -143,7 +145,14 @@ class Log:
         """
         if topic:
             return self.topic(topic)
-        having = [own for own in self.tables if column in own.columns]
+        having, unread = [], None
+        for own in self.tables:
+            try:
+                having += [own] if column in own.columns else []
+            except RecordingError as error:  # a topic of whatever else may be of a type that nobody knows
+                unread = unread or error
+        if not having and unread is not None:
+            raise unread
         if len(having) == 1:
             return having[0]
         if having:
@@ -175,6 +184,26 @@ class Log:
             what = "text" if values.dtype.kind in "USO" else f"{values.dtype} of {values.ndim} dimensions"
             raise RecordingError(f"{self.where}: column {name!r} holds {what}, expected one number a row")
         return values
+
+
+def stem(path: Path) -> str:
+    """A trial's name by that of its file, or of its folder, whose name has no suffix: ``run_2024.01.05``."""
+    return path.name if path.is_dir() else path.stem
+
+
+def notes_in(path: Path, text: str | bytes) -> dict[str, str]:
+    """Notes of a recording, as JSON.
+
+    Raises:
+        RecordingError: where they are none.
+    """
+    try:
+        notes = json.loads(text)
+    except ValueError:
+        notes = None
+    if not isinstance(notes, dict) or not all(isinstance(value, str) for value in notes.values()):
+        raise RecordingError(f'{path}: notes is no JSON object of texts, expected one such as {{"source": "…"}}')
+    return notes
 
 
 def flat(columns: Mapping[str, Any], names: Mapping[str, Sequence[str]] | None = None) -> dict[str, NDArray[Any]]:

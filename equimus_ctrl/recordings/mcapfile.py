@@ -22,13 +22,13 @@ from equimus_ctrl.errors import RecordingError
 from equimus_ctrl.presets import check_regular, write_bytes
 from equimus_ctrl.recordings import bags
 from equimus_ctrl.recordings.exported import LIBRARY, Exported
-from equimus_ctrl.recordings.logs import Loaded, Log, Table, needs, reading
-from equimus_ctrl.recordings.messages import NANO, columns_of
+from equimus_ctrl.recordings.logs import Loaded, Log, Table, needs, notes_in, reading
+from equimus_ctrl.recordings.messages import NANO, columns_of, stamp_of
 from equimus_ctrl.types import Array
 
 MAGIC = b"\x89MCAP0\r\n"
 NOTES = "equimus-ctrl/recording"
-TRIAL, COLUMNS = "trial", "columns"
+TRIAL, COLUMNS, TEXTS = "trial", "columns", "notes"
 WHAT = "MCAP file"
 
 
@@ -51,7 +51,11 @@ def read_mcap(path: Path) -> list[Log]:
             )
         channels = sorted(summary.channels.values(), key=lambda own: own.topic)
         kinds = {own.topic: getattr(summary.schemas.get(own.schema_id), "name", "") for own in channels}
-        notes = {own.metadata[TRIAL]: own.metadata for own in reader.iter_metadata() if own.name == NOTES}
+        notes = {
+            own.metadata[TRIAL]: notes_in(path, own.metadata[TEXTS])
+            for own in reader.iter_metadata()
+            if own.name == NOTES
+        }
     readable = [own for own in channels if own.message_encoding == "json"]
     if not readable and any(own.message_encoding == "cdr" for own in channels):
         return bags.read_bag(path)
@@ -89,7 +93,7 @@ def _profile(path: Path) -> str:
 
 def _load(path: Path, topic: str) -> Loaded:
     with reading(path, WHAT):
-        return columns_of((at, None, message) for at, message in _messages(path, topic))
+        return columns_of((at, stamp_of(message), message) for at, message in _messages(path, topic))
 
 
 def _messages(path: Path, topic: str) -> Iterator[tuple[float, Any]]:
@@ -127,8 +131,7 @@ def _trial(path: Path, name: str, channels: Sequence[Any], notes: Mapping[str, s
                 columns.setdefault(column, values)
         return None, columns
 
-    kept = {key: value for key, value in notes.items() if key != TRIAL}
-    return Log(path, name, (Table("", "", load),), "an MCAP file", None, kept, "time", "message")
+    return Log(path, name, (Table("", "", load),), "an MCAP file", None, notes, "time", "message")
 
 
 def write_mcap(path: Path, trials: Sequence[Exported], notes: Sequence[Mapping[str, str]]) -> None:
@@ -166,7 +169,7 @@ def write_mcap(path: Path, trials: Sequence[Exported], notes: Sequence[Mapping[s
             for k, (stamp, row) in enumerate(zip(stamps, values, strict=True)):
                 text = json.dumps(dict(zip(keys, row, strict=True)), ensure_ascii=False, allow_nan=False)
                 rows.append((stamp, channel, k, text.encode()))
-        writer.add_metadata(NOTES, {TRIAL: name, **own_notes})
+        writer.add_metadata(NOTES, {TRIAL: name, TEXTS: json.dumps(dict(own_notes), ensure_ascii=False)})
     for stamp, channel, k, message in sorted(rows, key=lambda own: own[:2]):
         writer.add_message(channel, stamp, message, stamp, k)
     writer.finish()

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import io
 import json
+import re
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
@@ -20,7 +21,7 @@ from numpy.typing import NDArray
 from equimus_ctrl.errors import RecordingError
 from equimus_ctrl.presets import check_regular, write_bytes
 from equimus_ctrl.recordings.assemble import elements
-from equimus_ctrl.recordings.logs import Log, Table, Wanted, flat, needs, reading
+from equimus_ctrl.recordings.logs import Log, Table, Wanted, flat, needs, notes_in, reading
 from equimus_ctrl.recordings.mapping import Mapping as ColumnMapping
 from equimus_ctrl.recordings.mapping import Source
 
@@ -66,9 +67,10 @@ def read_lerobot(path: Path) -> list[Log]:
             kept = {key: columns[key][own] for key in (STATE, ACTION, CLOCK)}
             notes = {"source": path.resolve().name, "source_episode": str(episode)}
             notes |= {f"unit.{key}": unit for key, unit in units.items() if unit}
+            flattened = flat(kept, names)
             logs[episode] = Log(
-                path, f"episode_{episode:06d}", (Table.of(flat(kept, names)),), "a LeRobot dataset", found_lerobot,
-                notes, CLOCK, "frame",
+                path, f"episode_{episode:06d}", (Table.of(flattened),), "a LeRobot dataset", found_lerobot,
+                notes, CLOCK, "frame", {key: _unit_of(key, units) for key in flattened if key != CLOCK},
             )  # fmt: skip
     told = info.get("total_frames")
     if isinstance(told, int) and told != rows:
@@ -116,6 +118,10 @@ def _unit(info: Mapping[str, Any], key: str) -> str:
     if isinstance(unit, list) and len(set(map(str, unit))) == 1:
         unit = unit[0]
     return unit if isinstance(unit, str) else ""
+
+
+def _unit_of(column: str, units: Mapping[str, str]) -> str:
+    return next(unit for key, unit in units.items() if re.match(re.escape(key) + r"(?:[.\[]|$)", column))
 
 
 def found_lerobot(log: Log, wanted: Wanted, mapping: ColumnMapping) -> dict[str, Source]:
@@ -168,7 +174,7 @@ def _columns(path: Path, chosen: Callable[[str], bool]) -> tuple[dict[str, NDArr
         names = [name for name in file.schema_arrow.names if chosen(name)]
         table = file.read(columns=names)
         told = (table.schema.metadata or {}).get(NOTES)
-        notes = json.loads(told) if told else {"source": path.name}
+        notes = notes_in(path, told) if told else {"source": path.name}
         return {name: _array(path, name, table.column(name), pyarrow) for name in names}, notes
 
 

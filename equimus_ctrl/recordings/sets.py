@@ -143,9 +143,10 @@ def _folder_files(folder: Path) -> list[Path]:
     if not files:
         trials = [path for path in entries if not path.name.startswith(".") and formats.format_of(path) is not None]
     if not trials:
-        what = "only static poses" if files else "no CSV files"
+        what = "only static poses" if files else "no recordings"
         raise RecordingError(
-            f"{folder}: there are {what} in this folder; recordings, one CSV file a trial, belong in it"
+            f"{folder}: there are {what} in this folder; expected CSV files, one a trial, or files of other formats "
+            f"({', '.join(formats.READ_SUFFIXES[1:])})"
         )
     return trials
 

@@ -11,6 +11,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from equimus_ctrl.executors.versions import processor
 from equimus_ctrl.models.model import model_to_dict
 from equimus_ctrl.tuning.objective import Evaluation
 from equimus_ctrl.tuning.search import Trial
@@ -113,6 +114,7 @@ class TuningResult:
             "schema": self.schema,
             "seed": self.study.seed,
             "versions": versions(),
+            "processor": processor(),
             "study": asdict(self.study),
             "model": model_to_dict(self.problem.model),
             "interrupted": self.interrupted,

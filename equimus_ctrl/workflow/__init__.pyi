@@ -34,6 +34,7 @@ from .mjcf import (
     offer as offer,
     parameter_rows as parameter_rows,
     read_free as read_free,
+    read_recorded as read_recorded,
 )
 from .models import (
     by_group as by_group,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
@@ -22,7 +23,7 @@ from equimus_ctrl.recordings.rerunfile import rerun_library, write_rerun
 from equimus_ctrl.robots.mjcf.editing import Edits
 from equimus_ctrl.robots.mjcf.robot import MjcfRobot
 from equimus_ctrl.types import Recording
-from equimus_ctrl.workflow.mjcf import load_mjcf, mapping_of, wanted_of
+from equimus_ctrl.workflow.mjcf import load_mjcf, mapping_of, read_recorded, wanted_of
 from equimus_ctrl.workflow.scores import gather
 
 NOMINAL, REFITTED, AUGMENTED = "nominal", "refitted", "augmented"
@@ -41,6 +42,9 @@ def read_recording(
 ) -> Recording:
     """The trial in a file of any format that is known: CSV, npz, parquet, MCAP, rosbag2, LeRobot, PACE, BAM.
 
+    It is as it was recorded: what a model takes as its input, such as the motion of prescribed joints, whoever compares
+    the two makes of it.
+
     Args:
         path: the file, or the folder of a bag or a dataset.
         model: of the robot, by whose names columns are found and whose limits hold; without one the file has to name
@@ -55,7 +59,7 @@ def read_recording(
         limits = Limits(-float("inf"), float("inf"), float("inf"), joints=(), actuators=(), max_interval=float("inf"))
         trials = list(read_set(Path(path), limits=limits, wanted=None, mapping=mapping_of(mapping)))
     else:
-        trials = gather(Path(path), model, mapping)
+        trials = list(read_recorded([Path(path)], model.robot, mapping))
     names = [own.name for own in trials]
     if trial is None and len(trials) == 1:
         return trials[0]
@@ -173,8 +177,12 @@ def export_recordings(
     if not ros2 and path.suffix.lower() not in SUFFIXES:
         raise ConfigError(f"{path}: expected a name that ends in {' or '.join(SUFFIXES)}")
     layouts = [path.with_suffix(suffix) for suffix in LAYOUTS] if path.suffix.lower() == ".mcap" and not ros2 else []
+    if ros2 and force and os.path.lexists(path):
+        raise ConfigError(
+            f"{path}: is there already, and --force replaces no folder of bags; expected another name, or take it away"
+        )
     for file in (path, *layouts):
-        outputs.check_new(file, force and not ros2)
+        outputs.check_new(file, force)
     presets.check_folder(path.parent)
     if not ros2:  # what is missing is told before the work
         (mcap_library if layouts else rerun_library)()
@@ -193,10 +201,11 @@ def export_recordings(
                 "that differ in letters and digits"
             )
     if ros2:
-        bags = [path / presets.plain_name(trial.recording.name) for trial in trials]
-        for bag, trial in zip(bags, trials, strict=True):
-            write_bag(bag, trial)
-        return bags
+        names = [presets.plain_name(trial.recording.name) for trial in trials]
+        with outputs.new_folder_whole(path) as folder:
+            for name, trial in zip(names, trials, strict=True):
+                write_bag(folder / name, trial)
+        return [path / name for name in names]
     if not layouts:
         write_rerun(path, trials)
         return [path]

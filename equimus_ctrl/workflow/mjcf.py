@@ -15,7 +15,7 @@ from equimus_ctrl.engines.supposed import with_supposed
 from equimus_ctrl.errors import ConfigError, ModelError, unknown_name
 from equimus_ctrl.identification.parameters import default_bounds, default_names, matching, unit_of
 from equimus_ctrl.models.model import Model
-from equimus_ctrl.recordings import Limits, Mapping, Wanted, read_mapping
+from equimus_ctrl.recordings import LEG, Limits, Mapping, Wanted, read_mapping
 from equimus_ctrl.recordings.sets import read_with_files
 from equimus_ctrl.recordings.smoothing import smoothed
 from equimus_ctrl.robots.base import Robot
@@ -111,11 +111,30 @@ def suited(model: Model, files: Sequence[Path]) -> Model:
     return replace(model, robot=model.robot.suited(read))
 
 
-def _read(files: Sequence[Path], robot: Robot, mapping: Mapping | None = None) -> tuple[tuple[Path, Recording], ...]:
+def read_recorded(
+    files: Sequence[Path], robot: Robot, mapping: Mapping | Path | str | None = None, pressures: Limits = LEG
+) -> tuple[Recording, ...]:
+    """Trials of a robot as they were recorded, the columns of joints whose motion is prescribed among them.
+
+    Args:
+        files: they, or folders.
+        robot: by whose names columns are found.
+        mapping: what the columns of other formats than the project's are, or its file.
+        pressures: what may stand in recordings of a robot whose commands are pressures.
+
+    Raises:
+        EquimusError: where a file cannot be read or lacks one of them.
+    """
+    return tuple(trial for _, trial in _read(files, robot, mapping_of(mapping), pressures))
+
+
+def _read(
+    files: Sequence[Path], robot: Robot, mapping: Mapping | None = None, pressures: Limits = LEG
+) -> tuple[tuple[Path, Recording], ...]:
     """Trials as they were recorded, each with its file."""
     wanted = wanted_of(robot)
     if robot.traits.commands_are_pressures:
-        return read_with_files(files, wanted=wanted, mapping=mapping)
+        return read_with_files(files, wanted=wanted, mapping=mapping, limits=pressures)
     joints, actuators, given = robot.joint_names, robot.actuator_names, robot.prescribed_columns
     columns = [*joints, *(name for name in robot.prescribed_names if name in given)]
     hinges = [name for name in columns if not robot.slides(name)]

@@ -15,7 +15,7 @@ from typing import Any
 
 from equimus_ctrl import presets
 from equimus_ctrl.errors import ConfigError
-from equimus_ctrl.executors.versions import mismatch, versions
+from equimus_ctrl.executors.versions import mismatch, processor, versions, warn_of_mix
 from equimus_ctrl.options import ProveOptions, Shard
 from equimus_ctrl.proof import blind
 from equimus_ctrl.proof.store import Request
@@ -42,6 +42,7 @@ def note_shard(request: Request, shard: Shard, cases: int, baselines: bool, seal
         "seal": seal,
         "fingerprint": blind.report_fingerprint(),
         "versions": versions(),
+        "processor": processor(),
     }
     presets.write_text(request.root / "shards" / f"{shard.index}_of_{shard.of}.json", presets.json_text(record))
 
@@ -59,6 +60,7 @@ def merge_shards(request: Request, options: ProveOptions, baselines: bool) -> No
     """
     owner: dict[int, Path] = {}
     made_by: tuple[Path, Mapping[str, str]] | None = None
+    processor_of_first: Mapping[str, str] = {}
     for folder in options.merge:
         for record in _done(folder):
             shard = Shard(record["shard"], record["of"])
@@ -76,7 +78,10 @@ def merge_shards(request: Request, options: ProveOptions, baselines: bool) -> No
                 )
             if made_by is not None and (other := mismatch(record["versions"], made_by[1])) is not None:
                 raise ConfigError(f"{folder}: shard {shard} was made with {other} as the shards in {made_by[0]}")
-            made_by = made_by or (folder, record["versions"])
+            if made_by is not None:
+                warn_of_mix({f"{folder}: shard {shard}": record["processor"]}, processor_of_first)
+            else:
+                made_by, processor_of_first = (folder, record["versions"]), record["processor"]
             owner.update(dict.fromkeys(shard.cases(options.cases), folder))
     missing = [case for case in range(options.cases) if case not in owner]
     if missing:
@@ -117,6 +122,7 @@ def _done(folder: Path) -> list[dict[str, Any]]:
                 raise ValueError
             Shard(record["shard"], record["of"])
             mismatch(record["versions"])
+            mismatch(record["processor"])
             _ = record["cases"], record["baselines"], record["fingerprint"]
         except (ValueError, KeyError, TypeError, AttributeError):
             raise ConfigError(f"{path}: is no record of a shard ({SCHEMA})") from None

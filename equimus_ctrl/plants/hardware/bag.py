@@ -1,4 +1,4 @@
-"""rosbag2 bags (SQLite and MCAP) with a robot's two topics, read as a recording by the rosbags library."""
+"""Recordings of the two topics in a rosbag2 bag that hardware settings name; the bag ``recordings.bags`` reads."""
 
 from __future__ import annotations
 
@@ -21,7 +21,8 @@ def read_bag(path: Path, model: Model, settings: HardwareSettings | None = None)
 
     Times are those of the bag's own clock from its first message on; stamps of angles are brought onto it by the
     quickest of their messages, as ``HardwarePlant`` does. Where a row has no measurement of its own, angles lie
-    between those around it; rows begin with the first measurement after the first command, and end with the last.
+    between those around it; rows begin with the first measurement after the first command, and end with the last. The
+    order of the numbers of a command is that of the settings, not of the bag.
 
     Args:
         path: the bag's folder or file.
