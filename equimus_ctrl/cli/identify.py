@@ -202,6 +202,7 @@ def _rmse_table(
     import numpy as np
 
     from equimus_ctrl.identification.results import together
+    from equimus_ctrl.report.paged import PagedTable
 
     def rmse(values: Array) -> Array:
         return np.asarray(np.sqrt((values**2).mean(axis=0)))
@@ -209,12 +210,13 @@ def _rmse_table(
     rows = [(label, rmse(values)) for label, values in residuals]
     if more is not None:
         rows.append(more)
-    table = light_table(f"RMSE in {unit}")
-    table.add_column("")
-    for name in (*joints, "all joints"):
-        table.add_column(name, justify="right")
+    told, sections = [], []
+
+    def tell(label: str, values: Array) -> None:
+        told.append((label, *(f"{v:.5f}" for v in (*values, together(values)))))
+
     for label, values in rows:
-        table.add_row(label, *(f"{v:.5f}" for v in (*values, together(values))))
+        tell(label, values)
     worse = []
     for what, own in (
         ("held-out trial", [h for h in heldout if h.segment is not None]),
@@ -222,18 +224,18 @@ def _rmse_table(
     ):
         if not own:
             continue
-        table.add_section()
+        sections.append(len(told) - 1)
         count = len(own) if what == "held-out trial" else sum(len(h.before) for h in own)
         label = f"{count} {what}{'s' * (count > 1)}"
         before, after = (rmse(np.concatenate([getattr(h, key) for h in own])) for key in ("before", "after"))
         for state, values in (("initial model", before), ("identified", after)):
-            table.add_row(f"{label}: {state}", *(f"{v:.5f}" for v in (*values, together(values))))
+            tell(f"{label}: {state}", values)
         if together(after) > together(before):
             worse.append(
                 f"On the {label} the identified model is worse than the initial one, {together(after):.4f} "
                 f"against {together(before):.4f} {unit}: what was found does not carry over."
             )
-    console.print(table)
+    console.print(PagedTable(f"RMSE in {unit}", ("", *joints, "all joints"), told, sections))
     for text in worse:
         console.print(text, style="yellow", markup=False)
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 from rich.box import SIMPLE_HEAD
 from rich.console import Console, ConsoleOptions, RenderResult
@@ -24,38 +24,36 @@ class PagedTable:
         heads: of the columns, the first that of what rows are called.
         rows: cells as text.
         sections: rows after which a line is drawn.
-        caption: below it; empty for none.
+        caption: below all of it; empty for none.
     """
 
     title: str
     heads: Sequence[str]
     rows: Sequence[Sequence[str]]
     sections: Sequence[int] = ()
-    caption: str = field(default="")
+    caption: str = ""
 
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
         first, count = 1, len(self.heads)
+        yield Text(self.title, style="bold")
         while first < count or first == 1:
             last = count
             while last > first + 1 and self._width(console, options, first, last) > options.max_width:
                 last -= 1
+            if first > 1:
+                yield Text(" continued", style="dim")
             yield self._table(first, last)
             first = max(last, 2)
+        if self.caption:
+            yield Text(f" {self.caption}", style="dim")
 
     def _width(self, console: Console, options: ConsoleOptions, first: int, last: int) -> int:
         whole = options.update(max_width=WHOLE)
-        shown = self._table(first, last)
-        shown.title = shown.caption = None
-        return Measurement.get(console, whole, shown).maximum
+        return Measurement.get(console, whole, self._table(first, last)).maximum
 
     def _table(self, first: int, last: int) -> Table:
         """With the first column and those from ``first`` to before ``last``."""
-        begun, ended = first == 1, last == len(self.heads)
-        table = Table(
-            title=Text(self.title if begun else f"{self.title}, continued", style="bold"),
-            caption=self.caption if ended and self.caption else None, box=SIMPLE_HEAD, padding=(0, 1, 0, 0),
-            title_justify="left", caption_justify="left",
-        )  # fmt: skip
+        table = Table(box=SIMPLE_HEAD, padding=(0, 1, 0, 0))
         table.add_column(self.heads[0], overflow="fold")
         for head in self.heads[first:last]:
             table.add_column(head, justify="right", no_wrap=True)
