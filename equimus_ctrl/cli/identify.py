@@ -36,6 +36,9 @@ if TYPE_CHECKING:
     from equimus_ctrl.identification.statics import StaticFit
     from equimus_ctrl.types import Array
 
+LONG_NAME = 16
+"""Of a parameter; a longer one is broken behind the name of what it is of."""
+
 
 @with_options
 def identify(
@@ -246,8 +249,7 @@ def _parameter_table(console: Console, found: Fit | StaticFit, origin: str) -> N
     table = light_table(f"Parameters: before {origin}, after with 95 % intervals")
     for name in ("parameter", "unit", "before", "after", "interval", "at bound"):
         text = name in ("parameter", "unit")
-        least = min(max(map(len, found.parameters.names)), 16) if name == "parameter" else None
-        table.add_column(name, justify="left" if text else "right", no_wrap=not text, overflow="fold", min_width=least)
+        table.add_column(name, justify="left" if text else "right", no_wrap=not text, overflow="fold")
     for i, free in enumerate(found.parameters.free):
         value, width = float(found.theta[i]), float(found.uncertainty.half_width[i])
         # An end beyond what the parameter can be says nothing.
@@ -256,7 +258,8 @@ def _parameter_table(console: Console, found: Fit | StaticFit, origin: str) -> N
         digits = interval_digits(value, low, high)
         mark = {-1: "low", 0: "", 1: "high"}[int(found.at_bound[i])]
         numbers = number(free.start), number(value, digits), interval_text(value, low, high)
-        table.add_row(free.name, free.unit, *numbers, mark)
+        shown = free.name if len(free.name) <= LONG_NAME else free.name.replace(".", ".\n ", 1)
+        table.add_row(shown, free.unit, *numbers, mark)
     console.print(table)
 
 

@@ -262,7 +262,7 @@ def _motion(found: Comparison, name: str) -> Figure:
             drawn = True
         for j, (joint, own) in enumerate(zip(joints, readings, strict=True)):
             style.dress(axes[2 * j][k], title=condition if j == 0 else "", y=f"{joint} [{own.unit}]" if k == 0 else "")
-            error_limits(axes[2 * j + 1][k], errors[j], own, LEAST_ERROR)
+            error_limits(axes[2 * j + 1][k], errors[j], own.unit, LEAST_ERROR)
             last = j == len(joints) - 1
             style.dress(axes[2 * j + 1][k], x="time [s]" if last else "", y=f"error [{own.unit}]" if k == 0 else "")
     figure.align_ylabels()

@@ -9,32 +9,32 @@ from matplotlib.axes import Axes
 from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 
 from equimus_ctrl.report import style
-from equimus_ctrl.robots.reading import Reading
 from equimus_ctrl.types import Array
 
 MOST = 0.9
-"""Share of the instants whose errors an error panel has room for at least; what is shorter is a transient."""
-BEYOND = 3.0
-"""A transient that is so many times larger than these can be read off the curves; it does not squeeze all others."""
+"""Share of the instants whose errors decide the limits of an error panel; what is shorter is a transient."""
+BESIDE, TRANSIENT = 3.0, 6.0
+"""How many times these errors there is room for where transients are larger than so many times them, and can be read
+off the curves; else there is room for all."""
 ROOM = 1.1
 
 
-def error_limits(axes: Axes, errors: Sequence[Array], own: Reading, least: float) -> None:
+def error_limits(axes: Axes, errors: Sequence[Array], unit: str, least: float) -> None:
     """Even limits about zero in which errors can be read; what lies beyond them is told in numbers.
 
     Args:
         axes: changed in place.
         errors: in the unit in which people read them.
-        own: that unit.
+        unit: that unit.
         least: the limit where there is no error.
     """
     together = np.abs(np.concatenate([np.ravel(own) for own in errors])) if errors else np.zeros(0)
     together = together[np.isfinite(together)]
     largest, most = (float(np.quantile(together, share)) if len(together) else 0.0 for share in (1.0, MOST))
     span, said = max(ROOM * largest, least), ""
-    if largest > BEYOND * max(most, least):
-        span = ROOM * BEYOND * max(most, least)
-        said = f"up to {largest:.3g}{own.space}{own.unit} beyond"
+    if largest > TRANSIENT * max(most, least):
+        span = ROOM * BESIDE * max(most, least)
+        said = f"up to {largest:.3g}{'' if unit == '°' else ' '}{unit} beyond"
     axes.set_ylim(-span, span)
     axes.axhline(0.0, color=style.FAINT, linewidth=style.THIN_WIDTH, zorder=1)
     if said:

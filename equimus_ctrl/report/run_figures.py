@@ -217,7 +217,7 @@ def joints_figure(run: Run, score: Score, wanted: Wanted, beside: Beside | None,
         error = own.factor * (against.run[:, j] - against.other[:, j])
         strip.plot(against.time, error, color=colour, linewidth=1.0)
         strip.fill_between(against.time, error, 0.0, color=colour, alpha=0.15, linewidth=0)
-        error_limits(strip, [error], own, LEAST_ERROR)
+        error_limits(strip, [error], own.unit, LEAST_ERROR)
         axes.set_xlim(run.time[0], run.time[-1] + run.spec.control_dt)
         if partly:
             for panel in (axes, strip):
