@@ -8,7 +8,7 @@ from equimus_ctrl.diagnosis.results import Diagnosis
 from equimus_ctrl.report.diagnosis_text import command, separating
 from equimus_ctrl.report.diagnosis_words import listed
 
-RECORDINGS, NEW, MODEL = "RECORDINGS", "NEW_RECORDINGS", "corrected.toml"
+RECORDINGS, NEW = "RECORDINGS", "NEW_RECORDINGS"
 """What stands for names that are not known."""
 SPLITS = 8
 
@@ -24,13 +24,14 @@ def next_steps(diagnosis: Diagnosis, command_line: str = "") -> list[tuple[str, 
     again = command_line or f"equimus-ctrl diagnose {RECORDINGS}"
     model, written = _value(given, "--model"), _value(given, "--write-model")
     of_model = f" --model {shlex.quote(model)}" if model else ""
-    corrected = shlex.quote(written or MODEL)
+    what = "augmented" if diagnosis.findings else "refitted"
+    name = written or ("corrected.toml" if diagnosis.findings else "refitted.toml")
+    corrected = shlex.quote(name)
     steps = []
     if diagnosis.verdict == "unfinished":
         steps.append(("Have the diagnosis carried to its end, without a limit of time: it was ended before.", ""))
-    what = "augmented" if diagnosis.findings else "refitted"
     if not written:
-        steps.append((f"Write the {what} model, which every other command takes.", f"{again} --write-model {MODEL}"))
+        steps.append((f"Write the {what} model, which every other command takes.", f"{again} --write-model {name}"))
     steps.append(
         (
             f"See whether the {what} model predicts recordings that took no part in this diagnosis.",
