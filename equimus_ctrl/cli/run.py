@@ -21,7 +21,7 @@ from equimus_ctrl.cli.common import (
 from equimus_ctrl.cli.emulate import Domain, HardwareFile
 from equimus_ctrl.cli.model_choice import ModelChoice
 from equimus_ctrl.cli.options import with_options
-from equimus_ctrl.cli.progress import share_bar
+from equimus_ctrl.cli.progress import share_bar, stage_bar
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -96,13 +96,10 @@ def run(
     console = people()
     workflow.load_plugins(plugins or ())
     if video is not None:
-        from equimus_ctrl.report.video import check_suffix
+        from equimus_ctrl.report.video import check_video
 
-        check_suffix(video)
-        presets.check_folder(video.parent)
-        # Without an ffmpeg that works a film becomes a gif.
-        for film in {video, video.with_suffix(".gif")}:
-            outputs.check_new(film, force)
+        if said := check_video(video, force):
+            console.print(said, markup=False, soft_wrap=True)
     results = outputs.Results(output, force, presets.workspace() / "results" / "run")
     if record is not None:
         presets.check_folder(record)
@@ -169,8 +166,8 @@ def run(
     if video is not None:
         from equimus_ctrl.report.video import save_video
 
-        with share_bar(console, "video") as show:
-            shown = save_video(done.run, done.model, video, progress=show)
+        with stage_bar(console, "video", stopped="stopped: no video was written") as show_stage:
+            shown = save_video(done.run, done.model, video, progress=lambda share: show_stage(share=share))
         files.append(shown.path)
         note = shown.note
     result |= {
