@@ -229,13 +229,18 @@ def check_xml(path: Path) -> None:
     _check_file(path, ".xml", "XML")
 
 
-def _check_file(path: Path, suffix: str, what: str) -> None:
+def check_file(path: Path) -> None:
+    """Raise ConfigError where a file cannot be written: its folder cannot be, or a folder is in its place."""
     try:
         check_folder(path.parent)
     except ConfigError as error:
         raise ConfigError(f"{path}: cannot be written; {error}") from None
     if path.is_dir():
         raise ConfigError(f"{path}: is a folder; a file to write belongs there")
+
+
+def _check_file(path: Path, suffix: str, what: str) -> None:
+    check_file(path)
     if path.suffix.lower() != suffix:
         raise ConfigError(f"{path}: what is written there is {what}; expected a name that ends in {suffix}")
 

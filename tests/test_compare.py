@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import json
 import math
+import time
 from pathlib import Path
 
 import numpy as np
@@ -148,6 +149,27 @@ def test_the_table_and_the_figures_show_it_all(found: Comparison, tmp_path: Path
     heights = np.asarray(figures["errors"].axes[0].lines[0].get_ydata())
     expected = found.entries[0].error
     assert expected is not None and heights[0] == pytest.approx(1e3 * expected.rmse[0])
+    run = found.entries[0].run
+    assert run is not None and run.truth is not None
+    angles, errors = figures["motion_short_hold"].axes[0], figures["motion_short_hold"].axes[2]
+    assert angles.get_ylabel() == "hip [°]" and errors.get_ylabel() == "error [°]"
+    drawn = np.asarray(errors.lines[0].get_ydata())
+    np.testing.assert_allclose(drawn, np.degrees(run.truth - run.reference)[:, 0], atol=1e-12)
+
+
+def test_what_compiles_does_so_before_the_steps_that_are_timed() -> None:
+    class Compiles(Plays):
+        name = "compiles"
+        compiled = False
+
+        def step(self, observation: Observation, reference: Reference, state: None) -> tuple[Array, None]:
+            if not Compiles.compiled:
+                time.sleep(0.3)
+                Compiles.compiled = True
+            return super().step(observation, reference, state)
+
+    (entry,) = compare([hold(0.3)], [Compiles], ["nominal"]).entries
+    assert entry.run is not None and Compiles.compiled and entry.run.solve_time.max() < 0.3
 
 
 def test_a_push_is_a_torque_for_a_while() -> None:

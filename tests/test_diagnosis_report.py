@@ -4,16 +4,20 @@ from __future__ import annotations
 
 import io
 import re
+import shlex
 from dataclasses import replace
 from html.parser import HTMLParser
 
 import pytest
 from diagnosed_leg import VERDICTS, consistent
 from rich.console import Console
+from typer.main import get_command
 
+from equimus_ctrl.cli.main import app
 from equimus_ctrl.diagnosis.results import Diagnosis
 from equimus_ctrl.report import diagnosis_text
 from equimus_ctrl.report.diagnosis_figures import diagnosis_figures
+from equimus_ctrl.report.diagnosis_next import next_steps
 from equimus_ctrl.report.diagnosis_page import _method, page
 from equimus_ctrl.report.diagnosis_text import print_diagnosis, sentence
 from equimus_ctrl.report.diagnosis_words import estimate_text
@@ -91,7 +95,7 @@ def test_figures_without_held_out_trials_show_those_fitted(diagnosis: Diagnosis)
 class Checker(HTMLParser):
     """Whether tags match; what is linked, shown and named."""
 
-    VOID = ("meta", "img", "br")
+    VOID = ("meta", "img", "br", "source")
 
     def __init__(self) -> None:
         super().__init__()
@@ -133,7 +137,7 @@ def test_the_page_is_whole_and_needs_nothing_else(diagnosis: Diagnosis) -> None:
         assert str(attrs["src"]).startswith("data:image/png;base64,") and attrs["alt"]
     ids = [attrs["id"] for _, attrs in found.seen if "id" in attrs]
     links = [str(attrs["href"]) for tag, attrs in found.seen if tag == "a"]
-    assert [f"#{name}" for name in ids] == links and len(ids) == len(set(ids)) == 11
+    assert [f"#{name}" for name in ids] == links and len(ids) == len(set(ids)) == 12
     said = " ".join(found.text)
     assert "<b>x" in said and "Leg & <i>co</i>" in said and '"<my> recordings"' in said
     for one in diagnosis.findings:
@@ -194,3 +198,53 @@ def test_the_fall_on_held_out_trials_is_that_of_the_rmse(diagnosis: Diagnosis) -
     before, after = (diagnosis.rmse(s, "validation")[1] for s in ("refitted", "corrected"))
     change = round(100 * (1 - after / before))
     assert f"−{change} % at the knee" in diagnosis_text.headline(diagnosis)
+
+
+def test_candidates_without_a_gain_are_folded_away(diagnosis: Diagnosis) -> None:
+    """None is lost: each stands in the table or under the fold, and what was found is never folded."""
+    text = page(diagnosis, "leg")
+    section = text[text.index('<section id="candidates">') :].split("</section>")[0]
+    above, _, folded = section.partition("<details>")
+    below = [r for r in diagnosis.ranking if max(r.screened, r.fitted or 0.0) < r.threshold]
+    marked = {*diagnosis_text.laws(diagnosis.findings), *(own.named for own in diagnosis.rejected)}
+    marked |= {other for finding in diagnosis.findings for other in finding.equivalent}
+    expected = [r for r in below if r.named not in marked]
+    assert above.count("<tr") - 1 == len(diagnosis.ranking) - len(expected)
+    if expected:
+        assert f"<summary>{len(expected)} others" in folded and folded.count("<tr") - 1 == len(expected)
+    nothing = [replace(r, screened=0.1, fitted=None) for r in diagnosis.ranking]
+    all_folded = page(replace(diagnosis, findings=(), rejected=(), ranking=tuple(nothing)), "leg")
+    assert f"<summary>{len(nothing)} candidates, the gain of all of them below" in all_folded
+
+
+def test_what_to_do_next_names_commands_with_the_files_at_hand(diagnosis: Diagnosis) -> None:
+    given = "equimus-ctrl diagnose runs --model 'my robot.toml' --write-model=found.toml"
+    steps = dict(next_steps(diagnosis, given))
+    commands = list(steps.values())
+    assert "equimus-ctrl score NEW_RECORDINGS --model found.toml" in commands
+    assert "equimus-ctrl autotune pid --model found.toml" in commands
+    assert "equimus-ctrl compare hold --model 'my robot.toml' --corrected found.toml" in commands
+    assert f"{given} --splits 8" in commands and f"{given} --plugin my_effect.py" in commands
+    assert not any("--write-model corrected.toml" in command for command in commands)
+    assert "equimus-ctrl diagnose RECORDINGS --write-model corrected.toml" in dict(next_steps(diagnosis)).values()
+    nothing = next_steps(consistent(diagnosis), given)
+    assert "equimus-ctrl check RECORDINGS --model 'my robot.toml'" in [command for _, command in nothing]
+    assert not any("autotune" in command for _, command in nothing)
+    ended = next_steps(replace(diagnosis, verdict="unfinished"), given)
+    assert ended[0][0].startswith("Have the diagnosis carried to its end")
+    said = page(diagnosis, "leg", given)
+    assert said.rindex("<section") == said.index('<section id="next">')
+
+
+def test_every_command_of_what_to_do_next_is_one(diagnosis: Diagnosis) -> None:
+    """Verbs and options are those of the command."""
+    root = get_command(app)
+    for verdict in VERDICTS.values():
+        for _, line in next_steps(verdict(diagnosis), ""):
+            words = shlex.split(line)
+            if not words:
+                continue
+            assert words[0] == "equimus-ctrl"
+            verb = root.commands[words[1]]  # type: ignore[attr-defined]
+            known = {name for parameter in verb.params for name in parameter.opts}
+            assert {word for word in words[2:] if word.startswith("--")} <= known, line

@@ -225,7 +225,7 @@ def test_sensitivity_for_machines_and_people(ran: Any, data: Path, tmp_path: Pat
     )
     assert all(row["name"].startswith("baa.") for row in found["parameters"])
     assert files(tmp_path) == [f"out/{name}" for name in ("curves.png", "local.png", "map.png", "record.json")]
-    assert first["name"] in err and "+10 %" in err and "per 1 %" in " ".join(err.split())
+    assert first["name"] in err and "+10 %" in err and "How far one per cent of each moves" in err
 
 
 def test_all_parameters_default_shares_no_figures(ran: Any, data: Path, tmp_path: Path) -> None:

@@ -150,7 +150,7 @@ def test_joint_panels_show_the_run_the_reference_and_the_error(nj: int) -> None:
     assert "error: run − reference" in labels(figure)
 
 
-def test_a_recording_is_shown_beside_and_the_error_is_against_it() -> None:
+def test_a_recording_is_shown_beside_a_controlled_run_whose_error_is_that_of_tracking() -> None:
     m = nominal_leg()
     run = make_run(m)
     scenario = make_scenario(run, recorded=recording_of(run, 0.02))
@@ -161,12 +161,25 @@ def test_a_recording_is_shown_beside_and_the_error_is_against_it() -> None:
     inside = scenario.recorded.time <= run.time[-1]
     np.testing.assert_allclose(beside.get_ydata(), np.degrees(scenario.recorded.position[inside, 0]))
     error = line(figure.axes[1], style.joint_colour(0)).get_ydata()
-    np.testing.assert_allclose(error, -np.degrees(0.02), atol=1e-2)
+    np.testing.assert_allclose(error, np.degrees(run.position - run.reference)[:, 0], atol=1e-12)
     title = figure.axes[0].get_title("left")
     assert f"{np.degrees(score.recorded.rmse[0]):.2f}° (0.0200 rad) from the recording" in title
     assert "from the reference" in title
-    assert {"recorded (real)", "error: run − recorded"} <= set(labels(figure))
+    assert {"recorded (real)", "error: run − reference"} <= set(labels(figure))
     assert not figure.axes[0].patches  # all of it is scored
+
+
+def test_played_commands_are_judged_by_what_the_real_robot_did() -> None:
+    m = nominal_leg()
+    levels = np.array([[1e4, 2e4], [3e4, 1e4]])
+    run = make_run(m, asked=np.repeat(levels, 120, axis=0))
+    profile = CommandProfile([0.0, 1.0], levels)
+    figure, score = joints_figure(run, make_scenario(run, commands=profile, recorded=recording_of(run, 0.02)), m)
+    assert score.recorded is not None
+    error = line(figure.axes[1], style.joint_colour(0)).get_ydata()
+    np.testing.assert_allclose(error, -np.degrees(0.02), atol=1e-2)
+    assert "error: run − recorded" in labels(figure)
+    assert "0.0200 rad) from the recording" in figure.axes[0].get_title("left")
 
 
 def test_a_recording_outside_the_run_is_left_out() -> None:
@@ -223,7 +236,11 @@ def test_foot_path_is_in_millimetres_with_y_down_and_equal_axes(nj: int) -> None
     scenario = make_scenario(run, recorded=recording_of(run, 0.1))
     wanted = run_figures.wanted_of(run, scenario, kinematics)
     figure = run_figures.foot_path_figure(run, kinematics, wanted, run_figures.beside_of(run, scenario), "a heading")
-    machine, path = figure.axes
+    machine, path, strip = figure.axes
+    off = np.array([kinematics.foot(a) - kinematics.foot(b) for a, b in zip(run.position, run.reference, strict=True)])
+    drawn_off = line(strip, style.FOOT).get_ydata()
+    np.testing.assert_allclose(drawn_off, np.maximum(1e3 * np.linalg.norm(off, axis=1), 1e-3), rtol=1e-6)
+    assert strip.get_yscale() == "log" and "distance from the reference" in strip.get_title("left")
     feet = np.array([kinematics.foot(pose) for pose in run.position[::60]]) * 1e3
     for axes in (machine, path):
         np.testing.assert_allclose(np.array(line(axes, style.FOOT).get_data()).T[::60], feet, atol=1e-9)

@@ -113,9 +113,10 @@ def _tune(
             if trial.evaluation.feasible:
                 lowest = min(lowest, trial.evaluation.cost)
             best = "none yet" if lowest == float("inf") else f"{lowest:.4f}"
-            last = trial.index + 1 == progress.tasks[task].total
-            stage = "on other robots" if last else trial.stage
-            progress.update(task, description=stage, completed=trial.index + 1, best=best)
+            progress.update(task, description=trial.stage, completed=trial.index + 1, best=best)
+
+        def stage(name: str) -> None:
+            progress.update(task, description=name)
 
         tuned = workflow.autotune(
             controller,
@@ -124,12 +125,14 @@ def _tune(
             options,
             begin=begin,
             notify=notify,
+            stage=stage,
         )
-    files = [tuned.settings, tuned.record]
-    if figures:
-        from equimus_ctrl.report.tuning_figures import save_tuning_figures
+        files = [tuned.settings, tuned.record]
+        if figures:
+            from equimus_ctrl.report.tuning_figures import save_tuning_figures
 
-        files += save_tuning_figures(tuned.result, tuned.folder)
+            stage("figures")
+            files += save_tuning_figures(tuned.result, tuned.folder)
     _print(console, tuned)
     print_files(console, files)
     if tuned.left is not None:

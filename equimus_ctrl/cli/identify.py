@@ -36,6 +36,9 @@ if TYPE_CHECKING:
     from equimus_ctrl.identification.statics import StaticFit
     from equimus_ctrl.types import Array
 
+LONG_NAME = 16
+"""Of a parameter; a longer one is broken behind the name of what it is of."""
+
 
 @with_options
 def identify(
@@ -202,6 +205,7 @@ def _rmse_table(
     import numpy as np
 
     from equimus_ctrl.identification.results import together
+    from equimus_ctrl.report.paged import PagedTable
 
     def rmse(values: Array) -> Array:
         return np.asarray(np.sqrt((values**2).mean(axis=0)))
@@ -209,12 +213,13 @@ def _rmse_table(
     rows = [(label, rmse(values)) for label, values in residuals]
     if more is not None:
         rows.append(more)
-    table = light_table(f"RMSE in {unit}")
-    table.add_column("")
-    for name in (*joints, "all joints"):
-        table.add_column(name, justify="right")
+    told, sections = [], []
+
+    def tell(label: str, values: Array) -> None:
+        told.append((label, *(f"{v:.5f}" for v in (*values, together(values)))))
+
     for label, values in rows:
-        table.add_row(label, *(f"{v:.5f}" for v in (*values, together(values))))
+        tell(label, values)
     worse = []
     for what, own in (
         ("held-out trial", [h for h in heldout if h.segment is not None]),
@@ -222,18 +227,18 @@ def _rmse_table(
     ):
         if not own:
             continue
-        table.add_section()
+        sections.append(len(told) - 1)
         count = len(own) if what == "held-out trial" else sum(len(h.before) for h in own)
         label = f"{count} {what}{'s' * (count > 1)}"
         before, after = (rmse(np.concatenate([getattr(h, key) for h in own])) for key in ("before", "after"))
         for state, values in (("initial model", before), ("identified", after)):
-            table.add_row(f"{label}: {state}", *(f"{v:.5f}" for v in (*values, together(values))))
+            tell(f"{label}: {state}", values)
         if together(after) > together(before):
             worse.append(
                 f"On the {label} the identified model is worse than the initial one, {together(after):.4f} "
                 f"against {together(before):.4f} {unit}: what was found does not carry over."
             )
-    console.print(table)
+    console.print(PagedTable(f"RMSE in {unit}", ("", *joints, "all joints"), told, sections))
     for text in worse:
         console.print(text, style="yellow", markup=False)
 
@@ -244,8 +249,7 @@ def _parameter_table(console: Console, found: Fit | StaticFit, origin: str) -> N
     table = light_table(f"Parameters: before {origin}, after with 95 % intervals")
     for name in ("parameter", "unit", "before", "after", "interval", "at bound"):
         text = name in ("parameter", "unit")
-        least = min(max(map(len, found.parameters.names)), 16) if name == "parameter" else None
-        table.add_column(name, justify="left" if text else "right", no_wrap=not text, overflow="fold", min_width=least)
+        table.add_column(name, justify="left" if text else "right", no_wrap=not text, overflow="fold")
     for i, free in enumerate(found.parameters.free):
         value, width = float(found.theta[i]), float(found.uncertainty.half_width[i])
         # An end beyond what the parameter can be says nothing.
@@ -254,7 +258,8 @@ def _parameter_table(console: Console, found: Fit | StaticFit, origin: str) -> N
         digits = interval_digits(value, low, high)
         mark = {-1: "low", 0: "", 1: "high"}[int(found.at_bound[i])]
         numbers = number(free.start), number(value, digits), interval_text(value, low, high)
-        table.add_row(free.name, free.unit, *numbers, mark)
+        shown = free.name if len(free.name) <= LONG_NAME else free.name.replace(".", ".\n ", 1)
+        table.add_row(shown, free.unit, *numbers, mark)
     console.print(table)
 
 

@@ -16,11 +16,10 @@ from equimus_ctrl.cli.options import with_options
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from rich.table import Table
-
     from equimus_ctrl.diagnosis.display_units import Reading
     from equimus_ctrl.models.model import Model
     from equimus_ctrl.recordings import Limits, Summary
+    from equimus_ctrl.report.paged import PagedTable
 
 app = typer.Typer(help="Import, check, export and fetch recordings.", no_args_is_help=True, rich_markup_mode="rich")
 
@@ -179,28 +178,22 @@ def check(
         print_json({"trials": [summary.as_json() for summary in summaries], "warnings": plausibility_warnings})
 
 
-def _table(summaries: Sequence[Summary], robot: Model) -> Table:
+def _table(summaries: Sequence[Summary], robot: Model) -> PagedTable:
     """One line a trial, in the units people think in."""
-    from rich.box import SIMPLE_HEAD
-    from rich.table import Table
-
     from equimus_ctrl.diagnosis import display_units
+    from equimus_ctrl.report.paged import PagedTable
 
-    table = Table(title=f"{len(summaries)} trials", box=SIMPLE_HEAD, padding=(0, 1), title_justify="left")
-    table.add_column("trial", overflow="fold")
     commands = {name: display_units.command(robot, name) for name in summaries[0].command_pa}
     joints = {name: display_units.position(robot, name) for name in summaries[0].position_rad}
     named = [f"{name}\n{own.unit}" for columns in (commands, joints) for name, own in columns.items()]
-    for heading in ("time\ns", "rate\nHz", "jitter\nms", *named):
-        table.add_column(heading, justify="right", no_wrap=True)
 
     def reading_text(ends: tuple[float, float], own: Reading) -> str:
         low, high = (own.factor * end for end in ends)
         figures = max(1 - math.floor(math.log10(high - low)), 0) if high > low else 0
         return f"{low:.{figures}f}..{high:.{figures}f}"
 
-    for s in summaries:
-        table.add_row(
+    rows = [
+        (
             s.name,
             f"{s.duration_s:.1f}",
             f"{s.rate_hz:.1f}",
@@ -208,7 +201,9 @@ def _table(summaries: Sequence[Summary], robot: Model) -> Table:
             *(reading_text(ends, commands[name]) for name, ends in s.command_pa.items()),
             *(reading_text(ends, joints[name]) for name, ends in s.position_rad.items()),
         )
-    return table
+        for s in summaries
+    ]
+    return PagedTable(f"{len(summaries)} trials", ("trial", "time\ns", "rate\nHz", "jitter\nms", *named), rows)
 
 
 @app.command()

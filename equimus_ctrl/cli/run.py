@@ -21,7 +21,7 @@ from equimus_ctrl.cli.common import (
 from equimus_ctrl.cli.emulate import Domain, HardwareFile
 from equimus_ctrl.cli.model_choice import ModelChoice
 from equimus_ctrl.cli.options import with_options
-from equimus_ctrl.cli.progress import share_bar
+from equimus_ctrl.cli.progress import share_bar, stage_bar
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -70,6 +70,19 @@ def run(
         bool, typer.Option("--arm", help="Send commands to the real robot; without, only what would be sent is shown.")
     ] = False,
     video: Annotated[Path | None, typer.Option(help="Also write a video (.mp4 or .gif).")] = None,
+    view: Annotated[
+        bool,
+        typer.Option(
+            "--view",
+            help="Then play the run in MuJoCo's viewer beside a ghost: the recording, else the reference.",
+        ),
+    ] = False,
+    view_web: Annotated[
+        bool,
+        typer.Option(
+            "--view-web", help="The same in a browser. The page is open to all who reach the port, without a password."
+        ),
+    ] = False,
     force: Force = False,
     figures: Figures = True,
     as_json: Json = False,
@@ -85,6 +98,7 @@ def run(
     equimus-ctrl run step --model robot.xml --set joint=elbow --set size=20
     equimus-ctrl run chirp --effect transport_delay:baa:delay=0.1 --record my_recordings
     equimus-ctrl run chirp --plant hardware --arm --record my_recordings
+    equimus-ctrl run triangle --controller pid --view
     equimus-ctrl run chirp --plugin docs/examples/drag.py --effect quadratic_drag:knee:coefficient=0.02
     """  # noqa: D301
     from equimus_ctrl import outputs, presets, workflow
@@ -96,13 +110,15 @@ def run(
     console = people()
     workflow.load_plugins(plugins or ())
     if video is not None:
-        from equimus_ctrl.report.video import check_suffix
+        from equimus_ctrl.report.video import check_video
 
-        check_suffix(video)
-        presets.check_folder(video.parent)
-        # Without an ffmpeg that works a film becomes a gif.
-        for film in {video, video.with_suffix(".gif")}:
-            outputs.check_new(film, force)
+        if said := check_video(video, force):
+            console.print(said, markup=False, soft_wrap=True)
+    how = None
+    if view or view_web:
+        from equimus_ctrl.report.viewing import check_viewer
+
+        how = check_viewer(view_web)
     results = outputs.Results(output, force, presets.workspace() / "results" / "run")
     if record is not None:
         presets.check_folder(record)
@@ -169,8 +185,8 @@ def run(
     if video is not None:
         from equimus_ctrl.report.video import save_video
 
-        with share_bar(console, "video") as show:
-            shown = save_video(done.run, done.model, video, progress=show)
+        with stage_bar(console, "video", stopped="stopped: no video was written") as show_stage:
+            shown = save_video(done.run, done.model, video, progress=lambda share: show_stage(share=share))
         files.append(shown.path)
         note = shown.note
     result |= {
@@ -193,6 +209,13 @@ def run(
     print_files(console, files)
     if as_json:
         print_json(result)
+    if how is not None:
+        from equimus_ctrl.report.viewing import shown_of
+        from equimus_ctrl.report.viewing import view as look
+
+        shown_run = shown_of(done.run, done.model, done.scenario.recorded)
+        console.print(f"the viewer shows this run; the ghost is {shown_run.ghost}", markup=False, soft_wrap=True)
+        look(shown_run, how)
 
 
 def own_folder(scenario: str, controller: str) -> Path:

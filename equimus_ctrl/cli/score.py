@@ -41,9 +41,8 @@ def score(
     equimus-ctrl score step_release.csv --window 5 9 --engine mujoco
     equimus-ctrl score runs --model robot.xml --start measured
     """  # noqa: D301
-    from rich.table import Table
-
     from equimus_ctrl import workflow
+    from equimus_ctrl.report.paged import PagedTable
 
     console = people()
     workflow.load_plugins(plugins or ())
@@ -56,16 +55,16 @@ def score(
         )
     joints = found.model.robot.joint_names
     print_engine(console, found.engine)
-    heading = f"{found.model.name} against {len(found.trials)} trial(s) from {found.start} starts, RMSE in rad or m:"
-    console.print(heading, markup=False, soft_wrap=True)
-    table = Table()
-    table.add_column("trial")
-    for joint in joints:
-        table.add_column(joint, justify="right")
-    for trial in found.trials:
-        table.add_row(trial.recording.name, *(f"{value:.5f}" for value in trial.rmse))
-    table.add_section()
-    table.add_row("all", *(f"{value:.5f}" for value in found.rmse), style="bold")
+    trials = f"{len(found.trials)} trial{'s' * (len(found.trials) != 1)}"
+    units = found.model.robot.joint_units
+    alike = len(set(units)) == 1
+    table = PagedTable(
+        f"{found.model.name} against {trials} from {found.start} starts, RMSE{f' in {units[0]}' if alike else ''}",
+        ("trial", *(name if alike else f"{name}\n{unit}" for name, unit in zip(joints, units, strict=True))),
+        [(own.recording.name, *(f"{value:.5f}" for value in own.rmse)) for own in found.trials]
+        + [("all", *(f"{value:.5f}" for value in found.rmse))],
+        sections=(len(found.trials) - 1,),
+    )
     console.print(table)
     if as_json:
         print_json(found.to_dict())

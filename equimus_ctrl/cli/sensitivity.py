@@ -12,7 +12,6 @@ from equimus_ctrl.cli.common import (
     Force,
     Json,
     PluginFiles,
-    light_table,
     people,
     print_engine,
     print_files,
@@ -91,31 +90,29 @@ def _print(console: Console, found: Sensitivity) -> None:
     import numpy as np
 
     from equimus_ctrl.identification.results import together
+    from equimus_ctrl.report.diagnosis_words import number
+    from equimus_ctrl.report.paged import PagedTable
 
     base = together(found.base)
     joints = found.model.robot.joint_names
     shown = len(found.names) if len(found.names) <= SHOWN + 3 else SHOWN
-    table = light_table(
-        f"{found.model.name}: RMSE over all joints in mrad, {1e3 * base:.1f} of the nominal model",
-        f"{len(found.names) - shown} more matter less" if shown < len(found.names) else None,
-    )
-    table.add_column("parameter", no_wrap=True)
-    for share in found.shares:
-        table.add_column(f"{100 * share:+g} %", justify="right")
-    for joint in joints:
-        table.add_column(f"{joint}\nper 1 %", justify="right")
+    rows, moved = [], []
     for i in range(shown):
         cells = []
         for k in range(len(found.shares)):
             value = together(found.rmse[i, k])
             cells.append("diverges" if found.diverged[i, k] else "–" if np.isnan(value) else f"{1e3 * value:.1f}")
-        cells += ["–" if np.isnan(v) else f"{1e3 * v:.3f}" for v in found.local[i]]
-        table.add_row(found.names[i], *cells)
-    console.print(table)
+        rows.append((found.names[i], *cells))
+        moved.append((found.names[i], *("–" if np.isnan(v) else number(1e3 * float(v)) for v in found.local[i])))
+    more = f"{len(found.names) - shown} more matter less" if shown < len(found.names) else ""
+    title = f"{found.model.name}: RMSE over all joints in mrad, {1e3 * base:.1f} of the nominal model"
+    console.print(PagedTable(title, ("parameter", *(f"{100 * share:+g} %" for share in found.shares)), rows, (), more))
+    title = "How far one per cent of each moves the predictions, to first order, RMS in mrad"
+    console.print(PagedTable(title, ("parameter", *joints), moved, (), more))
     print_engine(console, found.engine)
     idle = [name for name, local in zip(found.names, found.local, strict=True) if np.all(local == 0)]
     if idle:
         console.print(f"No effect on these trials at all: {', '.join(idle)}.", markup=False)
     if found.diverged.any():
-        rows = [name for name, lost in zip(found.names, found.diverged, strict=True) if lost.any()]
-        console.print(f"Diverging when changed: {', '.join(rows)}.", style="yellow", markup=False)
+        lost = [name for name, own in zip(found.names, found.diverged, strict=True) if own.any()]
+        console.print(f"Diverging when changed: {', '.join(lost)}.", style="yellow", markup=False)

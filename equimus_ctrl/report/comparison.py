@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import product
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -15,9 +16,12 @@ from rich.table import Table
 from rich.text import Text
 
 from equimus_ctrl.report import style
+from equimus_ctrl.report.error_panel import error_limits
 from equimus_ctrl.robots.base import Robot
 from equimus_ctrl.robots.reading import reading
 from equimus_ctrl.scenarios.comparison import Comparison, Entry
+from equimus_ctrl.scenarios.scoring import off_reference
+from equimus_ctrl.types import Array
 
 MRAD = 1e3
 SMALL = {"rad": "mrad", "m": "mm"}
@@ -31,6 +35,8 @@ WIDTHS = (3.2, 2.2, 1.2)
 PLAIN = FuncFormatter(lambda value, _: f"{value:g}")
 SHOWN = 4
 """Conditions whose motion is drawn, at most."""
+LEAST_ERROR = 0.01
+"""The least limit of an axis of errors [° or mm]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,10 +114,10 @@ def _cells(entry: Entry, each: bool) -> list[str]:
         return ["ended early"]
     rmse, largest, spec = MRAD * entry.error.rmse, MRAD * entry.error.largest, entry.run.spec
     if each:
-        cells = [f"{own:.2f}/{most:.0f}" for own, most in zip(rmse, largest, strict=True)]
+        cells = [f"{own:.2f}/{_most(most)}" for own, most in zip(rmse, largest, strict=True)]
     else:
         j = int(rmse.argmax())
-        cells = [f"{spec.joints[j]} {rmse[j]:.2f}/{largest[j]:.0f}"]
+        cells = [f"{spec.joints[j]} {rmse[j]:.2f}/{_most(largest[j])}"]
     p50, p99 = entry.score.solve_time
     kinds = set(spec.command_units)
     effort = []
@@ -121,6 +127,11 @@ def _cells(entry: Entry, each: bool) -> list[str]:
         *cells, *effort, f"{100 * entry.score.saturated:.0f}", f"{1e3 * p50:.3g}/{1e3 * p99:.3g}",
         f"{100 * entry.missed:.1f}/{100 * entry.fallbacks:.1f}",
     ]  # fmt: skip
+
+
+def _most(largest: float) -> str:
+    """The largest error of a joint, of which small ones have a digit more."""
+    return f"{largest:.0f}" if largest >= 10 else f"{largest:.1f}"
 
 
 def _effort_unit(robot: Robot) -> str:
@@ -187,7 +198,7 @@ def _rmse(found: Comparison, controller: str, scenario: str, condition: str, joi
 
 
 def _times(found: Comparison) -> Figure:
-    """What share of each controller's steps took at most so long."""
+    """What share of each controller's steps took at most so long; what compiles has done so before."""
     figure = style.new_figure(7.0, 3.6, "Time of a controller's step")
     panel = figure.subplots()
     period = None
@@ -201,7 +212,11 @@ def _times(found: Comparison) -> Figure:
         panel.plot(times, share, color=style.actuator_colour(c), linewidth=style.RUN_WIDTH, label=controller)
     if period is not None:
         panel.axvline(1e3 * period, color=style.REFERENCE, linewidth=style.REFERENCE_WIDTH, linestyle=style.DASHES)
-        panel.text(1e3 * period, 50, " control period", fontsize=style.SMALL_SIZE, color=style.INK)
+        panel.annotate(
+            "control period", (1e3 * period, 0), xytext=(-4, 4), textcoords="offset points", rotation=90, ha="right",
+            va="bottom", fontsize=style.SMALL_SIZE, color=style.INK,
+            bbox={"facecolor": "white", "edgecolor": "none", "alpha": 0.8, "pad": 1.0},
+        )  # fmt: skip
     panel.set_xscale("log")
     panel.xaxis.set_major_formatter(PLAIN)
     style.dress(panel, x="time [ms]", y="share of steps [%]")
@@ -211,38 +226,45 @@ def _times(found: Comparison) -> Figure:
 
 
 def _motion(found: Comparison, name: str) -> Figure:
-    """True angles beside the reference, a row for each joint, a column for each of the first conditions."""
+    """True angles and, under them, their errors: two rows for each joint, a column for each of the first conditions."""
     joints, controllers = found.model.robot.joint_names, _controllers(found)
     readings = [reading(unit) for unit in found.model.robot.joint_units]
     what = "true angles" if set(found.model.robot.joint_units) == {"rad"} else "true positions"
     shown: Sequence[str] = [c.name for c in found.conditions][:SHOWN]
-    figure = style.new_figure(1.2 + 3.6 * len(shown), 1.2 + 2.3 * len(joints), f"{name}: {what}")
-    axes = figure.subplots(len(joints), len(shown), squeeze=False, sharex=True, sharey="row")
+    figure = style.new_figure(1.2 + 3.6 * len(shown), 1.2 + 3.4 * len(joints), f"{name}: {what}, and errors below")
+    axes = figure.subplots(
+        2 * len(joints), len(shown), squeeze=False, sharex=True, height_ratios=[2.0, 1.2] * len(joints)
+    )
+    for k, j in product(range(1, len(shown)), range(len(joints))):
+        axes[2 * j][k].sharey(axes[2 * j][0])
+        axes[2 * j][k].tick_params(labelleft=False)
     for k, condition in enumerate(shown):
-        drawn = False
+        drawn, errors = False, [list[Array]() for _ in joints]
         for entry in found.entries:
             if (entry.scenario, entry.condition) != (name, condition) or entry.run is None:
                 continue
             run, c = entry.run, controllers.index(entry.controller)
-            for j in range(len(joints)):
-                panel = axes[j][k]
+            assert run.truth is not None
+            off = off_reference(run.truth, run.reference, run.spec, found.scenarios[name])
+            for j, own in enumerate(readings):
+                panel, strip = axes[2 * j][k], axes[2 * j + 1][k]
                 if not drawn:
-                    wanted = readings[j].factor * run.reference[:, j]
                     panel.plot(
-                        run.time, wanted, color=style.REFERENCE, linewidth=style.REFERENCE_WIDTH,
-                        linestyle=style.DASHES, label="reference", zorder=5,
+                        run.time, own.factor * run.reference[:, j], color=style.REFERENCE,
+                        linewidth=style.REFERENCE_WIDTH, linestyle=style.DASHES, label="reference", zorder=5,
                     )  # fmt: skip
-                assert run.truth is not None
+                colour, width = style.actuator_colour(c), WIDTHS[min(c, len(WIDTHS) - 1)]
                 panel.plot(
-                    run.time, readings[j].factor * run.truth[:, j], color=style.actuator_colour(c),
-                    linewidth=WIDTHS[min(c, len(WIDTHS) - 1)], label=entry.controller,
-                )  # fmt: skip
+                    run.time, own.factor * run.truth[:, j], color=colour, linewidth=width, label=entry.controller
+                )
+                errors[j].append(own.factor * off[:, j])
+                strip.plot(run.time, errors[j][-1], color=colour, linewidth=1.0)
             drawn = True
-        for j, joint in enumerate(joints):
-            style.dress(
-                axes[j][k], title=condition if j == 0 else "", x="time [s]" if j == len(joints) - 1 else "",
-                y=f"{joint} [{readings[j].unit}]" if k == 0 else "",
-            )  # fmt: skip
+        for j, (joint, own) in enumerate(zip(joints, readings, strict=True)):
+            style.dress(axes[2 * j][k], title=condition if j == 0 else "", y=f"{joint} [{own.unit}]" if k == 0 else "")
+            error_limits(axes[2 * j + 1][k], errors[j], own.unit, LEAST_ERROR)
+            last = j == len(joints) - 1
+            style.dress(axes[2 * j + 1][k], x="time [s]" if last else "", y=f"error [{own.unit}]" if k == 0 else "")
     figure.align_ylabels()
     handles, labels = axes[0][0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", ncols=min(len(labels), 6), frameon=False)

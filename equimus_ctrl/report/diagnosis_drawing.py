@@ -34,6 +34,9 @@ LABEL_CHARACTERS = 46
 WITH, WITHOUT = "#0072B2", "#6B6B6B"
 EQUIVALENT, OTHER = "#86BBD8", "#C4C4C4"
 MOST_CANDIDATES = 20
+BY_CHANCE = 1.0
+"""What an effect of one parameter gains on average where it is not there (χ² of one degree of freedom); with less it is
+not drawn."""
 DATA_HEIGHT = 0.1
 """Share of the axes' height that is left to show where the recordings lie."""
 DATA_BINS = 48
@@ -167,67 +170,68 @@ def ranking_figure(diagnosis: Diagnosis) -> Figure:
     found = grouped(diagnosis.findings)
     findings = [candidate_of(law) for law in found]
     equivalent = [other for f in diagnosis.findings for other in f.equivalent]
-    shown = list(diagnosis.ranking[:MOST_CANDIDATES])
-    shown += [r for r in diagnosis.ranking[MOST_CANDIDATES:] if r.named in (*findings, *equivalent)]
+    told = (*findings, *equivalent)
+    gaining = [r for r in diagnosis.ranking if max(r.screened, r.fitted or 0.0) >= BY_CHANCE or r.named in told]
+    shown = gaining[:MOST_CANDIDATES] + [r for r in gaining[MOST_CANDIDATES:] if r.named in told]
+    shown = shown or list(diagnosis.ranking[:1])
     names = [textwrap.fill(short(r.named, diagnosis.model), LABEL_CHARACTERS) for r in shown]
     lines = sum(name.count("\n") + 1 for name in names)
     figure = style.new_figure(
         WIDTH,
         1.6 + 0.17 * lines + 0.1 * len(shown),
-        f"What each effect would gain alone ({len(diagnosis.ranking)} candidates)",
+        f"What each effect would gain alone ({len(shown)} of {len(diagnosis.ranking)} candidates)",
     )
     axes = figure.add_subplot()
     threshold = min(r.threshold for r in diagnosis.ranking)
     beside = {candidate_of(law): law.findings[0].evidence.gain for law in found}
     gains = [max(r.screened, r.fitted or 0.0) for r in shown]
     largest = max([10.0, threshold, *beside.values(), *gains])
-    least = max(1.0, 1e-5 * largest)
+    least = max(BY_CHANCE, 1e-5 * largest)
     colours = {r.named: WITH if r.named in findings else EQUIVALENT if r.named in equivalent else OTHER for r in shown}
     _draw_gains(axes, shown, colours, least)
-    if len(findings) > 1:
-        for row, ranked in enumerate(shown):
-            if ranked.named in beside:
-                at = max(beside[ranked.named], least)
-                axes.plot(at, row, marker="D", markersize=7, color=WITH, markeredgecolor="white")
+    for row, ranked in enumerate(shown):
+        if ranked.named in beside:
+            at = max(beside[ranked.named], least)
+            axes.plot(at, row, marker="D", markersize=8, color=WITH, markeredgecolor="white", zorder=5)
     axes.axvline(threshold, color=style.ALERT, linewidth=1.3, linestyle=style.DASHES)
     axes.set_xscale("log")
     axes.set_xlim(least, 2 * largest)
     axes.set_yticks(np.arange(len(shown)), names)
     axes.set_ylim(len(shown) - 0.4, -0.6)
     style.dress(axes, x="fall of −2 log likelihood")
-    axes.grid(False, axis="y")
     for label, ranked in zip(axes.get_yticklabels(), shown, strict=True):
         if ranked.named in findings:
             label.set_fontweight("bold")
     fitted = {colours[r.named] for r in shown if r.fitted is not None}
-    style.legend_below(figure, _ranking_handles(len(findings), bool(equivalent), OTHER in fitted))
+    style.legend_below(figure, _ranking_handles(len(findings), fitted))
     return figure
 
 
 def _draw_gains(axes: Axes, shown: Sequence[Ranked], colours: Mapping[Named, str], least: float) -> None:
-    """A bar for the gain when fitted, a circle for that expected to first order, row by row."""
+    """A dot for the gain when fitted, a circle for that expected to first order, row by row; no bars without a zero."""
     for row, ranked in enumerate(shown):
         if ranked.fitted is not None:
-            length = max(ranked.fitted, least) - least
-            axes.barh(row, length, left=least, height=0.66, color=colours[ranked.named])
+            gain = max(ranked.fitted, least)
+            axes.plot(gain, row, marker="o", markersize=8, color=colours[ranked.named], clip_on=False, zorder=3)
         axes.plot(
-            max(ranked.screened, least), row, marker="o", markersize=5.5, markerfacecolor="white",
-            markeredgecolor=style.INK, clip_on=False,
+            max(ranked.screened, least), row, marker="o", markersize=5.5, markerfacecolor="none",
+            markeredgecolor=style.INK, clip_on=False, zorder=4,
         )  # fmt: skip
 
 
-def _ranking_handles(findings: int, equivalent: bool, others: bool) -> list[Artist]:
-    """The legend of a ranking, by what it has: how many findings, equivalents, other candidates fitted."""
+def _dot(colour: str, label: str) -> Line2D:
+    return Line2D([], [], marker="o", markersize=8, linestyle="", color=colour, label=label)
+
+
+def _ranking_handles(findings: int, fitted: set[str]) -> list[Artist]:
+    """The legend of a ranking, by what it has: how many findings, and the colours of candidates that were fitted."""
     handles: list[Artist] = []
     if findings:
-        handles.append(Patch(facecolor=WITH, label="found"))
-    if findings > 1:
-        handles.append(Line2D([], [], marker="D", linestyle="", color=WITH, label="found, beside the others"))
-    if equivalent:
-        handles.append(Patch(facecolor=EQUIVALENT, label="not distinguishable from it"))
-    if others:
-        handles.append(Patch(facecolor=OTHER, label="other, fitted"))
-    expected = {"color": "white", "markeredgecolor": style.INK, "label": "expected to first order"}
+        label = "found, beside the others" if findings > 1 else "found"
+        handles.append(Line2D([], [], marker="D", markersize=8, linestyle="", color=WITH, label=label))
+    dots = {WITH: "found, alone", EQUIVALENT: "not distinguishable from it", OTHER: "other, fitted"}
+    handles += [_dot(colour, label) for colour, label in dots.items() if colour in fitted]
+    expected = {"markerfacecolor": "none", "markeredgecolor": style.INK, "label": "expected to first order"}
     handles.append(Line2D([], [], marker="o", linestyle="", **expected))  # type: ignore[arg-type]
     handles.append(Line2D([], [], color=style.ALERT, linestyle=style.DASHES, label="acceptance threshold"))
     return handles

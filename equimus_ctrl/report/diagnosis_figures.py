@@ -48,6 +48,8 @@ COLUMNS_CHARACTERS = 120
 """Of the labels of all columns of residuals together."""
 SUMMARY_CHARACTERS, CURVE_CHARACTERS, PLACE_CHARACTERS = 88, 30, 20
 """Of the summary's title in a line, of its curve's, and of the name of a place."""
+NARROW, NARROW_CHARACTERS = (4.4, 6.6), 46
+"""Of the summary for a phone: its size [inch], and characters of its title in a line."""
 LONG_NAME = 34
 BINS, LEAST_IN_BIN = 12, 5
 SINCE = "time since a step [s]"
@@ -331,9 +333,15 @@ def _binned(values: Array, residual: Array, even: bool) -> tuple[Array, Array, A
     return x, size, mean
 
 
-def summary_figure(diagnosis: Diagnosis, scene: Scene) -> Figure:
-    """One picture of it all: a trial before and after, and the curve of what was found first."""
-    figure = style.new_figure(8.4, 3.75)
+def summary_figure(diagnosis: Diagnosis, scene: Scene, narrow: bool = False) -> Figure:
+    """One picture of it all: a trial before and after, and the curve of what was found first.
+
+    Args:
+        diagnosis: what was found.
+        scene: what its curves are drawn from.
+        narrow: one panel below the other, for a phone.
+    """
+    figure = style.new_figure(*(NARROW if narrow else (8.4, 3.75)))
     text, model = "Refitted, the model leaves nothing but noise.", diagnosis.model
     if diagnosis.findings:
         first, *others = diagnosis_text.grouped(diagnosis.findings)
@@ -342,7 +350,7 @@ def summary_figure(diagnosis: Diagnosis, scene: Scene) -> Figure:
     elif diagnosis.unexplained:
         text = f"Unexplained at {diagnosis.unexplained[0].location}: none of the known effects does this."
     figure.suptitle(
-        textwrap.fill(text, SUMMARY_CHARACTERS),
+        textwrap.fill(text, NARROW_CHARACTERS if narrow else SUMMARY_CHARACTERS),
         x=0.012,
         ha="left",
         fontsize=style.PANEL_SIZE,
@@ -350,8 +358,11 @@ def summary_figure(diagnosis: Diagnosis, scene: Scene) -> Figure:
         color=style.INK,
     )
     k, j = _most_telling(diagnosis)
-    grid = figure.add_gridspec(2, 2, width_ratios=[1.45, 1.0], height_ratios=[2.2, 1.0])
-    top, bottom, right = (figure.add_subplot(g) for g in (grid[0, 0], grid[1, 0], grid[:, 1]))
+    if narrow:
+        top, bottom, right = figure.subplots(3, 1, height_ratios=[2.2, 1.2, 2.6])
+    else:
+        grid = figure.add_gridspec(2, 2, width_ratios=[1.45, 1.0], height_ratios=[2.2, 1.0])
+        top, bottom, right = (figure.add_subplot(g) for g in (grid[0, 0], grid[1, 0], grid[:, 1]))
     states = diagnosis_text.states(diagnosis)[-2:]
     _draw_angles(top, diagnosis, k, j, states)
     _draw_residuals(bottom, diagnosis, k, j)

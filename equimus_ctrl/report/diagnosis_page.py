@@ -2,14 +2,10 @@
 
 from __future__ import annotations
 
-import base64
-import io
 import math
-from collections.abc import Sequence
 from html import escape
 
 import numpy as np
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from equimus_ctrl.diagnosis import display_units
@@ -17,7 +13,9 @@ from equimus_ctrl.diagnosis.residuals import ResidualForce
 from equimus_ctrl.diagnosis.results import SETS, Diagnosis
 from equimus_ctrl.identification.results import together
 from equimus_ctrl.report import diagnosis_splits, diagnosis_text
-from equimus_ctrl.report.diagnosis_figures import WORDS, diagnosis_figures
+from equimus_ctrl.report.diagnosis_figures import WORDS, diagnosis_figures, summary_figure
+from equimus_ctrl.report.diagnosis_next import next_steps
+from equimus_ctrl.report.diagnosis_panels import Scene
 from equimus_ctrl.report.diagnosis_units import departures, differing, parameter, unit_answer
 from equimus_ctrl.report.diagnosis_words import (
     coordinates_text,
@@ -31,37 +29,8 @@ from equimus_ctrl.report.diagnosis_words import (
     reading,
     short,
 )
+from equimus_ctrl.report.html import CSS, figure_html, grouped_html, list_html, table_html
 
-CSS = """
-:root { color-scheme: light; }
-body { font: 16px/1.5 system-ui, -apple-system, "Segoe UI", Roboto, sans-serif; color: #222; background: #fff;
-  max-width: 1040px; margin: 0 auto; padding: 24px 20px 60px; }
-h1 { font-size: 26px; margin: 0 0 4px; overflow-wrap: anywhere; }
-h2 { font-size: 20px; margin: 40px 0 10px; padding-top: 10px; border-top: 1px solid #e3e3e3; }
-h3 { font-size: 16px; margin: 24px 0 6px; }
-p, ul, ol { margin: 8px 0; max-width: 80ch; overflow-wrap: anywhere; }
-.verdict { font-size: 18px; font-weight: 600; border-left: 5px solid #0072b2; padding: 6px 14px; background: #f4f8fb;
-  max-width: none; }
-.verdict.unexplained, .verdict.partly_explained, .verdict.unfinished { border-color: #d55e00; background: #fdf6f1; }
-.faint { color: #666; font-size: 14px; }
-nav { font-size: 14px; margin: 14px 0; display: flex; flex-wrap: wrap; gap: 4px 14px; }
-nav a { color: #0060a0; }
-figure { margin: 14px 0; }
-img { max-width: 100%; height: auto; display: block; }
-.wide { overflow-x: auto; }
-table { border-collapse: collapse; font-size: 14px; margin: 10px 0; }
-th, td { padding: 4px 10px 4px 0; text-align: right; border-bottom: 1px solid #ececec; vertical-align: top; }
-th { border-bottom: 1px solid #999; font-weight: 600; }
-td { white-space: nowrap; }
-th.text, td.text { text-align: left; white-space: normal; overflow-wrap: break-word; max-width: 46ch; }
-th.group { text-align: center; border-bottom: 1px solid #ccc; }
-td.first, th.first { padding-left: 10px; border-left: 1px solid #ececec; }
-tr.strong td { font-weight: 600; background: #f4f8fb; }
-pre, code { font: 14px/1.45 ui-monospace, Menlo, Consolas, monospace; background: #f5f5f5; }
-pre { padding: 8px 12px; white-space: pre-wrap; overflow-wrap: anywhere; }
-@media print { body { max-width: none; padding: 0; font-size: 12px; } nav { display: none; }
-  figure, tr, .verdict { break-inside: avoid; } h2, h3 { break-after: avoid; } }
-"""
 METHOD = (
     "The noise of each joint, white and coloured, is estimated from the residuals. A gain is the fall of −2 log "
     "likelihood under it.",
@@ -86,6 +55,7 @@ def page(diagnosis: Diagnosis, title: str, command_line: str = "") -> str:
         command_line: with which it was made, "" where there was none.
     """
     figures = diagnosis_figures(diagnosis)
+    narrow = summary_figure(diagnosis, Scene.of(diagnosis), narrow=True)
     parts = [
         ("size", "Size of the residuals", _size(diagnosis)),
         ("where", "Localization", _where(diagnosis, figures)),
@@ -102,6 +72,7 @@ def page(diagnosis: Diagnosis, title: str, command_line: str = "") -> str:
         ("decisions", "What was decided, stage by stage", _decisions(diagnosis)),
         ("method", "Method", _method(diagnosis)),
         ("provenance", "Provenance", _provenance(diagnosis, command_line)),
+        ("next", "What to do next", _next(diagnosis, command_line)),
     ]
     kept = [(key, head, body) for key, head, body in parts if body]
     found = diagnosis_text.grouped(diagnosis.findings)
@@ -122,32 +93,9 @@ def page(diagnosis: Diagnosis, title: str, command_line: str = "") -> str:
         f'<p class="verdict {escape(diagnosis.verdict)}">{escape(diagnosis_text.verdict(diagnosis))}</p>\n'
         f"{unsure}<p>{escape(diagnosis_text.headline(diagnosis))}</p>\n"
         f"<p>{escape(diagnosis_text.held_out(diagnosis))}</p>\n{notes}\n"
-        f"<nav>{links}</nav>\n{_figure(figures['summary'], summary)}\n</header>\n<main>\n{sections}\n"
+        f"<nav>{links}</nav>\n{figure_html(figures['summary'], summary, narrow)}\n</header>\n<main>\n{sections}\n"
         f"</main>\n</body>\n</html>\n"
     )
-
-
-def _figure(figure: Figure, alt: str) -> str:
-    buffer = io.BytesIO()
-    FigureCanvasAgg(figure).print_png(buffer, metadata={"Software": None})  # type: ignore[no-untyped-call]
-    data = base64.b64encode(buffer.getvalue()).decode("ascii")
-    return f'<figure><img alt="{escape(alt)}" src="data:image/png;base64,{data}"></figure>'
-
-
-def _list(lines: Sequence[str]) -> str:
-    return f"<ul>{''.join(f'<li>{escape(line)}</li>' for line in lines)}</ul>" if lines else ""
-
-
-def _table(head: Sequence[str], rows: Sequence[Sequence[str]], text: int = 1, strong: Sequence[int] = ()) -> str:
-    """A table whose first ``text`` columns are words."""
-
-    def line(cells: Sequence[str], tag: str) -> str:
-        kinds = (' class="text"' if k < text else "" for k in range(len(cells)))
-        return "".join(f"<{tag}{kind}>{escape(cell)}</{tag}>" for cell, kind in zip(cells, kinds, strict=True))
-
-    kinds = {True: '<tr class="strong">', False: "<tr>"}
-    body = "".join(f"{kinds[k in strong]}{line(row, 'td')}</tr>" for k, row in enumerate(rows))
-    return f'<div class="wide"><table><thead><tr>{line(head, "th")}</tr></thead><tbody>{body}</tbody></table></div>'
 
 
 def _size(diagnosis: Diagnosis) -> str:
@@ -172,35 +120,18 @@ def _size(diagnosis: Diagnosis) -> str:
         for joint, own, u in zip(diagnosis.joints, diagnosis.noise, shown, strict=True)
         if own.coloured > 0
     ]
-    coloured = f"<p>The noise is coloured, as fitted to the residuals.</p>{_list(colour)}" if colour else ""
+    coloured = f"<p>The noise is coloured, as fitted to the residuals.</p>{list_html(colour)}" if colour else ""
     if any(own.sigma > size for own, size in zip(diagnosis.noise, diagnosis.sigma, strict=True)):
         coloured += "<p>Second differences of the residuals allow no more noise than the table has.</p>"
     first = f"RMSE in {shown[0].unit}" if alike else "RMSE"
-    channels = _list(diagnosis_text.of_channels(diagnosis)) if diagnosis.channels else ""
-    return f"<p>{escape(text)}</p>{_grouped(first, [*groups, ('noise', [''])], rows)}{coloured}{channels}"
-
-
-def _grouped(first: str, groups: Sequence[tuple[str, Sequence[str]]], rows: Sequence[Sequence[str]]) -> str:
-    """A table whose columns after the first stand in groups with a head of their own."""
-    starts = {0} | set(np.cumsum([len(heads) for _, heads in groups[:-1]]).tolist())
-
-    def cells(values: Sequence[str], tag: str) -> str:
-        kinds = (' class="first"' if k in starts else "" for k in range(len(values)))
-        return "".join(f"<{tag}{kind}>{escape(value)}</{tag}>" for value, kind in zip(values, kinds, strict=True))
-
-    above = "".join(f'<th class="group first" colspan="{len(heads)}">{escape(name)}</th>' for name, heads in groups)
-    below = cells([head for _, heads in groups for head in heads], "th")
-    body = "".join(f'<tr><td class="text">{escape(name)}</td>{cells(values, "td")}</tr>' for name, *values in rows)
-    return (
-        f'<div class="wide"><table><thead><tr><th class="text">{escape(first)}</th>{above}</tr>'
-        f'<tr><th class="text"></th>{below}</tr></thead><tbody>{body}</tbody></table></div>'
-    )
+    channels = list_html(diagnosis_text.of_channels(diagnosis)) if diagnosis.channels else ""
+    return f"<p>{escape(text)}</p>{grouped_html(first, [*groups, ('noise', [''])], rows)}{coloured}{channels}"
 
 
 def _where(diagnosis: Diagnosis, figures: dict[str, Figure]) -> str:
     lines = diagnosis_text.where(diagnosis) if diagnosis.verdict != "consistent" else []
     alt = "Size and mean of the errors against time since a step, angle, speed and commands, joint by joint"
-    return _list(lines) + _figure(figures["residuals"], alt)
+    return list_html(lines) + figure_html(figures["residuals"], alt)
 
 
 def _findings(diagnosis: Diagnosis, figures: dict[str, Figure]) -> str:
@@ -222,8 +153,8 @@ def _findings(diagnosis: Diagnosis, figures: dict[str, Figure]) -> str:
     shown = []
     for law in found:
         text = diagnosis_text.law_sentence(law, model)
-        sizes = _table(*diagnosis_text.by_place(law)) if len(law.findings) > 1 else ""
-        figure = _figure(figures[f"finding_{law.first + 1}"], f"Curves of {short(law.named, model)}: {text}")
+        sizes = table_html(*diagnosis_text.by_place(law)) if len(law.findings) > 1 else ""
+        figure = figure_html(figures[f"finding_{law.first + 1}"], f"Curves of {short(law.named, model)}: {text}")
         shown.append(f"<h3>{escape(text)}</h3>{sizes}{figure}")
     explained = (
         '<p class="faint">Gain: fall of −2 log likelihood with the effect, everything else free without it. Explained: '
@@ -231,21 +162,21 @@ def _findings(diagnosis: Diagnosis, figures: dict[str, Figure]) -> str:
     )
     together = f"<p>{escape(text)}</p>" if (text := diagnosis_text.together(diagnosis)) else ""
     sentences = [diagnosis_text.law_sentence(law, model) for law in found]
-    return f"{_list(sentences)}{_grouped('effect', groups, rows)}{together}{explained}{''.join(shown)}"
+    return f"{list_html(sentences)}{grouped_html('effect', groups, rows)}{together}{explained}{''.join(shown)}"
 
 
 def _units(diagnosis: Diagnosis) -> str:
     """What differs between groups of trials and from the nominal model."""
-    body = _list(differing(diagnosis))
+    body = list_html(differing(diagnosis))
     groups = diagnosis.groups
     if diagnosis.differences:
         rows = [
             (parameter(d), *("not seen" if own is None else estimate_text(own) for own in d.values.values()))
             for d in diagnosis.differences
         ]
-        body += _table(("parameter", *groups), rows)
+        body += table_html(("parameter", *groups), rows)
     if answer := unit_answer(diagnosis):
-        body += f"<p>{escape(answer)}</p>{_list(departures(diagnosis))}"
+        body += f"<p>{escape(answer)}</p>{list_html(departures(diagnosis))}"
     return body
 
 
@@ -258,28 +189,28 @@ def _splits(diagnosis: Diagnosis, figures: dict[str, Figure]) -> str:
     if len(splits.answers) > 1:
         if "splits" in figures:
             alt = "The first size of each effect with its interval, split by split; grey where a split does not name it"
-            body += _figure(figures["splits"], alt) + _table(*diagnosis_splits.of_effects(splits), text=2)
+            body += figure_html(figures["splits"], alt) + table_html(*diagnosis_splits.of_effects(splits), text=2)
         else:
             body += "<p>No split names an effect.</p>"
         note = "Of joints: the augmented model's error on held-out trials over the refitted one's."
-        body += _table(*diagnosis_splits.of_splits(splits), text=2) + f'<p class="faint">{note}</p>'
-    return body + _list(diagnosis_splits.beside(splits))
+        body += table_html(*diagnosis_splits.of_splits(splits), text=2) + f'<p class="faint">{note}</p>'
+    return body + list_html(diagnosis_splits.beside(splits))
 
 
 def _before_after(diagnosis: Diagnosis, figures: dict[str, Figure]) -> str:
     which = "test" if diagnosis.test else "validation" if diagnosis.validation else "fitted"
     text = f"<p>The {which} trials with the largest residuals of the refitted model.</p>"
     alt = "Measured and predicted angles, residuals and commands of the trials with the largest residuals"
-    return text + _figure(figures["before_after"], alt)
+    return text + figure_html(figures["before_after"], alt)
 
 
 def _unexplained(diagnosis: Diagnosis, figures: dict[str, Figure]) -> str:
-    body = _list(diagnosis_text.remains(diagnosis))
+    body = list_html(diagnosis_text.remains(diagnosis))
     for k, residual in enumerate(diagnosis.unexplained):
         figure = figures.get(f"unexplained_{k + 1}")
         if figure and isinstance(residual, ResidualForce) and residual.axis:
             against = coordinates_text([residual.axis], diagnosis.model)
-            body += _figure(figure, f"Unstructured residual force at {residual.location}, against {against}")
+            body += figure_html(figure, f"Unstructured residual force at {residual.location}, against {against}")
     return body
 
 
@@ -290,7 +221,7 @@ def _decisions(diagnosis: Diagnosis) -> str:
         (f"{d.stage}, other trials held out" if d.other_holdout else d.stage, d.decision, d.reason)
         for d in diagnosis.decisions
     ]
-    return _table(("stage", "decision", "reason"), rows, 3)
+    return table_html(("stage", "decision", "reason"), rows, 3)
 
 
 def _rejected(diagnosis: Diagnosis) -> str:
@@ -298,11 +229,11 @@ def _rejected(diagnosis: Diagnosis) -> str:
         return ""
     text = "<p>Each was part of a hypothesis until a stage spoke against it.</p>"
     rows = [(short(own.named, diagnosis.model), own.stage, own.reason) for own in diagnosis.rejected]
-    return text + _table(("effect", "stage", "reason"), rows, 3)
+    return text + table_html(("effect", "stage", "reason"), rows, 3)
 
 
 def _not_distinguishable(diagnosis: Diagnosis) -> str:
-    body = _list(diagnosis_text.not_distinguishable(diagnosis))
+    body = list_html(diagnosis_text.not_distinguishable(diagnosis))
     if diagnosis.experiment is not None:
         body += f"<p>{escape(diagnosis_text.separating(diagnosis.experiment))}</p>"
         body += f"<pre>{escape(diagnosis_text.command(diagnosis.experiment))}</pre>"
@@ -325,7 +256,7 @@ def _parameters(diagnosis: Diagnosis) -> str:
         held = {-1: "low", 0: "", 1: "high"}[int(fit.at_bound[i])]
         rows.append((free.label, scale.unit, *before, interval_text(*interval), held))
     head = ("parameter", "unit", *(WORDS[s] for s in diagnosis_text.states(diagnosis)), "95 % interval", "at bound")
-    return _table(head, rows, 2)
+    return table_html(head, rows, 2)
 
 
 def _candidates(diagnosis: Diagnosis, figures: dict[str, Figure]) -> str:
@@ -349,10 +280,25 @@ def _candidates(diagnosis: Diagnosis, figures: dict[str, Figure]) -> str:
         )
         for k, r in enumerate(diagnosis.ranking)
     ]
-    strong = [k for k, r in enumerate(diagnosis.ranking) if marks.get(r.named) == "found"]
     text = "<p>Gain of each as the only effect: expected to first order, and fitted where promising.</p>"
-    picture = _figure(figures["ranking"], "Bars: gain of each of the best candidates; the table has the same values")
-    return text + picture + _table(("", "effect", "note", "first order", "fitted"), rows, 3, strong)
+    picture = figure_html(figures["ranking"], "Gain of each of the best candidates; the table has the same values")
+    head = ("", "effect", "note", "first order", "fitted")
+    kept: list[tuple[tuple[str, ...], bool]] = []
+    folded: list[tuple[tuple[str, ...], bool]] = []
+    for row, ranked in zip(rows, diagnosis.ranking, strict=True):
+        promising = max(ranked.screened, ranked.fitted or 0.0) >= ranked.threshold
+        (kept if promising or ranked.named in marks else folded).append((row, marks.get(ranked.named) == "found"))
+    shown = [
+        table_html(head, [row for row, _ in part], 3, [k for k, (_, strong) in enumerate(part) if strong])
+        for part in (kept, folded)
+        if part
+    ]
+    if folded:
+        beside = "others, whose gain is" if kept else "candidates, the gain of all of them"
+        shown[-1] = (
+            f"<details><summary>{len(folded)} {beside} below the acceptance threshold</summary>{shown[-1]}</details>"
+        )
+    return text + picture + "".join(shown)
 
 
 def _detectable(diagnosis: Diagnosis) -> str:
@@ -360,7 +306,7 @@ def _detectable(diagnosis: Diagnosis) -> str:
     if not rows:
         return ""
     text = "<p>Nothing was found. An effect of this size, its other parameters at median values, would be accepted.</p>"
-    return text + _table(("effect", "smallest size"), rows, 2)
+    return text + table_html(("effect", "smallest size"), rows, 2)
 
 
 def _method(diagnosis: Diagnosis) -> str:
@@ -395,4 +341,13 @@ def _provenance(diagnosis: Diagnosis, command_line: str) -> str:
     rows.append(("samples fitted", str(sum(len(s.measured) for s in diagnosis.train))))
     rows.append(("time taken", f"{diagnosis.seconds:.1f} s"))
     shown = f"<p>Made with</p><pre>{escape(command_line)}</pre>" if command_line else ""
-    return _table(("", ""), rows, 2) + shown
+    return table_html(("", ""), rows, 2) + shown
+
+
+def _next(diagnosis: Diagnosis, command_line: str) -> str:
+    """What a person can do now, each with the command that does it."""
+    steps = (
+        f"<li>{escape(text)}{f'<pre>{escape(command)}</pre>' if command else ''}</li>"
+        for text, command in next_steps(diagnosis, command_line)
+    )
+    return f"<ol>{''.join(steps)}</ol>"

@@ -29,6 +29,8 @@ FIRST_FRAME_TIME = 60.0  # [s] after which a backend is given up
 FIELD_OF_VIEW = 30.0  # [degree]
 SAMPLES = 2  # a pixel
 ELEVATION = -4.0  # [degree]
+ROPE = 0.02
+"""Width of an elastic actuator in a viewer, in lengths of all links."""
 
 
 def gl_backends() -> list[str]:
@@ -149,17 +151,8 @@ def sketch_of(film: Film) -> SketchPictures | film_geoms.GeomPictures:
 
 def _elastic_scene(film: Film) -> tuple[Any, dict[str, Any]]:
     """The MuJoCo model of a robot with elastic actuators, and what the render worker needs beside."""
-    model = _scene_model(film)
-    data = mujoco.MjData(model)
-    m = film.morphology
-    joints = [model.joint(name).qposadr[0] for name in m.joint_names]
-    base = [model.joint(f"base/{axis}").qposadr[0] for axis in "xy"] if film.phase == "stance" else []
-    qpos = np.empty((len(film.time), model.nq))
-    for k, angles in enumerate(film.position):
-        data.qpos[joints] = angles
-        data.qpos[base] = film.bones.base[k][: len(base)]
-        close_elements(model, data)
-        qpos[k] = data.qpos
+    model, m = _elastic_spec(film).compile(), film.morphology
+    qpos = _elastic_poses(film, model)
     low, high = film.box
     middle, half = (low + high) / 2, 0.56 * (high - low)
     tangent = np.tan(np.radians(FIELD_OF_VIEW) / 2)
@@ -186,6 +179,36 @@ def _elastic_scene(film: Film) -> tuple[Any, dict[str, Any]]:
     }
 
 
+def _elastic_poses(film: Film, model: Any) -> Array:
+    """(n, nq) of a model of ``_elastic_spec``, its elements closed."""
+    data = mujoco.MjData(model)
+    joints = [model.joint(name).qposadr[0] for name in film.morphology.joint_names]
+    base = [model.joint(f"base/{axis}").qposadr[0] for axis in "xy"] if film.phase == "stance" else []
+    qpos = np.empty((len(film.time), model.nq))
+    for k, angles in enumerate(film.position):
+        data.qpos[joints] = angles
+        data.qpos[base] = film.bones.base[k][: len(base)]
+        close_elements(model, data)
+        qpos[k] = data.qpos
+    return qpos
+
+
+def seen_robot(film: Film) -> tuple[Any, Array]:
+    """MuJoCo's specification of the robot with what is seen of it, and (n, nq) its poses.
+
+    Elastic actuators are spatial tendons between their ends, so that any viewer draws them.
+    """
+    if not has_elements(film):
+        return film_geoms.seen_spec(film), film_geoms.Geoms(film).qpos
+    spec = _elastic_spec(film)
+    qpos = _elastic_poses(film, spec.compile())
+    for i, name in enumerate(film.morphology.actuator_names):
+        rope = spec.add_tendon(name=f"{name}/seen", width=ROPE * film.size, rgba=(*film.colour(i, 1.0), 1.0))
+        for end in ("origin", "insertion"):
+            rope.wrap_site(f"{name}/{end}")
+    return spec, qpos
+
+
 def _dashes(film: Film) -> Array:
     """(m, 2, 3) the target as dashes, or as a cross where it is one point, in MuJoCo's coordinates."""
     path = film.target
@@ -198,7 +221,7 @@ def _dashes(film: Film) -> Array:
     return np.stack([dashed[..., 0], np.zeros(dashed.shape[:2]), -dashed[..., 1]], axis=-1)
 
 
-def _scene_model(film: Film) -> mujoco.MjModel:
+def _elastic_spec(film: Film) -> Any:
     m, size = film.morphology, film.size
     spec = build_spec(m, film.phase)
     view = spec.visual
@@ -264,7 +287,7 @@ def _scene_model(film: Film) -> mujoco.MjModel:
             rgba=(0.9, 0.9, 0.9, 1.0),
             **look,
         )
-    return spec.compile()
+    return spec
 
 
 class SketchPictures:

@@ -127,7 +127,7 @@ class Geoms:
 
     def __init__(self, film: Film) -> None:
         self.film = film
-        self.model = _seen_model(film)
+        self.model = seen_spec(film).compile()
         self._data = mujoco.MjData(self.model)
         joints = [int(self.model.joint(name).qposadr[0]) for name in film.spec.joints]
         poses = []
@@ -233,8 +233,8 @@ def dashes(geoms: Geoms) -> Array:
     return np.stack([path[:-5:10], path[5::10]], axis=1)[:1000] if len(path) > 10 else np.zeros((0, 2, 3))
 
 
-def _seen_model(film: Film) -> Any:
-    """MuJoCo's model of a robot's file with what is seen of it."""
+def seen_spec(film: Film) -> Any:
+    """MuJoCo's specification of a robot's file with what is seen of it."""
     robot = mjcf_of(film.model.robot)
     spec = spec_of(robot.xml, robot.beside_xml)
     plain = spec.compile()
@@ -264,7 +264,7 @@ def _seen_model(film: Film) -> Any:
             name="film/sky", type=mujoco.mjtTexture.mjTEXTURE_SKYBOX, builtin=mujoco.mjtBuiltin.mjBUILTIN_FLAT,
             rgb1=(1.0, 1.0, 1.0), rgb2=(1.0, 1.0, 1.0), width=64, height=64,
         )  # fmt: skip
-    return spec.compile()
+    return spec
 
 
 def _add_rods(body: Any, plain: Any) -> None:

@@ -16,8 +16,11 @@ from equimus_ctrl.identification.parameters import FreeParameter
 from equimus_ctrl.identification.results import Identification, Identified, IdentifiedPoses
 from equimus_ctrl.identification.statics import LOST, StaticFit
 from equimus_ctrl.report import style
+from equimus_ctrl.report.error_panel import error_limits
 from equimus_ctrl.types import Array
 
+LEAST_ERROR = 0.1
+"""The least limit of an axis of residuals [mrad or mm]."""
 MOST_TRIALS = 6
 BEFORE = "#B0A08A"
 """Of the initial model: differs from measured curves in hue and in lightness."""
@@ -108,29 +111,37 @@ def _shown_trials(trials: list[Shown]) -> list[tuple[Shown, str]]:
 
 
 def fits_figure(found: Identified, trials: list[Shown]) -> Figure:
-    """Measured and predicted angles of a few trials, a row each, a column for each joint."""
+    """Measured and predicted angles of a few trials, and residuals below each; a column for each joint."""
     model = found.fit.model
     joints = model.robot.joint_names
     chosen = _shown_trials(trials)
     width = min(5.2 * len(joints) + 0.6, 15.0)
-    figure = style.new_figure(width, 1.1 + 1.75 * len(chosen), f"Measured and predicted, {found.engine.name} engine")
-    grid = figure.subplots(len(chosen), len(joints), squeeze=False)
+    figure = style.new_figure(width, 1.1 + 2.7 * len(chosen), "Measured and predicted, residuals below")
+    grid = figure.subplots(2 * len(chosen), len(joints), squeeze=False, height_ratios=[1.7, 1.0] * len(chosen))
     for row, (trial, label) in enumerate(chosen):
         for j, joint in enumerate(joints):
-            axes = grid[row, j]
+            axes, strip = grid[2 * row : 2 * row + 2, j]
+            strip.sharex(axes)
             place, error = display_units.position(model, joint), display_units.error(model, joint)
             colour = style.joint_colour(j)
             measured = trial.measured[:, j] * place.factor
             axes.plot(trial.time, measured - trial.before[:, j] * place.factor, color=BEFORE, linewidth=1.4)
             axes.plot(trial.time, measured, color=style.RECORDED, linewidth=1.1)
             axes.plot(trial.time, measured - trial.after[:, j] * place.factor, color=colour, linewidth=1.7)
+            residuals = [error.factor * values[:, j] for values in (trial.before, trial.after)]
+            for values, shade in zip(residuals, (BEFORE, colour), strict=True):
+                strip.plot(trial.time, values, color=shade, linewidth=1.0)
+            error_limits(strip, residuals, error.unit, LEAST_ERROR)
             before, after = (error.factor * trial.rmse(which)[j] for which in ("before", "after"))
             title = f"{joint}: RMSE {before:.1f} → {after:.1f} {error.unit}"
             if j == 0:
                 title = f"{trial.name} ({label})\n{title}"
             last = row == len(chosen) - 1
             label_y = f"{display_units.noun(model, joint)} {place.bracket}" if j == 0 else ""
-            style.dress(axes, title=title, y=label_y, x="time [s]" if last else "")
+            style.dress(axes, title=title, y=label_y)
+            style.dress(strip, y=error.bracket if j == 0 else "", x="time [s]" if last else "")
+            axes.tick_params(labelbottom=False)
+    figure.align_ylabels()
     handles: list[Artist] = [
         Line2D([], [], color=style.RECORDED, linewidth=1.1, label="measured"),
         Line2D([], [], color=BEFORE, linewidth=1.4, label="before"),

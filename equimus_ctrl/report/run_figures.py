@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from matplotlib.artist import Artist
@@ -17,16 +17,21 @@ from numpy.typing import NDArray
 from equimus_ctrl.errors import ConfigError, ModelError
 from equimus_ctrl.models.kinematics import Kinematics
 from equimus_ctrl.report import style
+from equimus_ctrl.report.commands_figure import WIDTH, commands_figure, drop, grid_of
 from equimus_ctrl.report.drawing import MM, first_pass, label_parts, skeleton, sketch, well_spaced
+from equimus_ctrl.report.error_panel import draw_distance, error_limits
 from equimus_ctrl.report.site_figure import site_figure
 from equimus_ctrl.robots.reading import Reading, reading
 from equimus_ctrl.scenarios.scenario import Scenario
 from equimus_ctrl.scenarios.scoring import Score, on_grid
 from equimus_ctrl.types import Array, Run
 
+PATH_WIDTH = 2.8
+"""Of the path of a run, wide enough to be seen under the dashes that it should follow."""
+DISTANCES = {"reference": "reference", "recorded": "recording", "resting pose": "pose at rest"}
+"""What a distance is from, by what a run is compared with."""
 MAX_REST_POSES = 400
 SAME_POSE = 0.01  # [rad]
-WIDTH = 10.0
 TARGET: dict[str, Any] = {
     "linestyle": "",
     "marker": "+",
@@ -68,6 +73,37 @@ class Beside:
     time: Array
     position: Array
     name: str
+
+
+@dataclass(frozen=True, eq=False)
+class Compared:
+    """What the error of a run is of: the reference where it was followed, else the recording, else poses at rest.
+
+    Attributes:
+        name: of what it is compared with.
+        time: (m,) [s].
+        run: (m, nj) [rad or m].
+        other: (m, nj) the same of what it is compared with.
+    """
+
+    name: str
+    time: Array
+    run: Array
+    other: Array
+
+    @property
+    def label(self) -> str:
+        """For legends."""
+        return f"error: run − {self.name}"
+
+
+def compared(run: Run, wanted: Wanted, beside: Beside | None) -> Compared:
+    """A controller is judged by its reference, commands that were played by what the real robot did."""
+    if wanted.followed or beside is None:
+        return Compared("reference" if wanted.followed else "resting pose", run.time, run.position, wanted.position)
+    inside = (run.time >= beside.time[0]) & (run.time <= beside.time[-1])
+    time = run.time[inside]
+    return Compared("recorded", time, run.position[inside], on_grid(beside.time, beside.position, time))
 
 
 def save_run_figures(
@@ -155,17 +191,14 @@ def beside_of(run: Run, scenario: Scenario) -> Beside | None:
     return Beside(recorded.time[inside], recorded.position[inside], recorded.name)
 
 
-MOST_ROWS = 4
-"""Joints or actuators beside which there is no second column."""
-
-
 def joints_figure(run: Run, score: Score, wanted: Wanted, beside: Beside | None, label: str) -> Figure:
     """A panel and a residual strip for each joint, in degrees or mm."""
     nj = len(run.spec.joints)
-    rows, columns = _grid(nj)
+    rows, columns = grid_of(nj)
     what = "joint angles" if set(run.spec.joint_units) == {"rad"} else "joint positions"
     figure = style.new_figure(WIDTH * (1 + 0.4 * (columns - 1)), 1.1 + 2.9 * rows, f"{label}: {what}")
     panels = figure.subplots(2 * rows, columns, sharex=True, squeeze=False, height_ratios=[2.6, 1.0] * rows)
+    against = compared(run, wanted, beside)
     partly = score.window[0] > run.time[0] + 0.05 or score.window[1] < run.time[-1] - 0.05
     for j, joint in enumerate(run.spec.joints):
         row, column = divmod(j, columns)
@@ -181,21 +214,19 @@ def joints_figure(run: Run, score: Score, wanted: Wanted, beside: Beside | None,
             )
         axes.plot(run.time, own.factor * run.position[:, j], color=colour, linewidth=style.RUN_WIDTH)
         _widen(axes, own)
-        time, residual = _residual(run, wanted, beside, j)
-        strip.axhline(0.0, color=style.FAINT, linewidth=style.THIN_WIDTH)
-        strip.plot(time, residual, color=colour, linewidth=1.0)
-        strip.fill_between(time, residual, 0.0, color=colour, alpha=0.15, linewidth=0)
-        _even_limits(strip, residual)
+        error = own.factor * (against.run[:, j] - against.other[:, j])
+        strip.plot(against.time, error, color=colour, linewidth=1.0)
+        strip.fill_between(against.time, error, 0.0, color=colour, alpha=0.15, linewidth=0)
+        error_limits(strip, [error], own.unit, LEAST_ERROR)
         axes.set_xlim(run.time[0], run.time[-1] + run.spec.control_dt)
         if partly:
             for panel in (axes, strip):
                 panel.axvspan(run.time[0], score.window[0], color=style.SHADE, linewidth=0, zorder=0)
                 panel.axvspan(score.window[1], run.time[-1], color=style.SHADE, linewidth=0, zorder=0)
-    _drop(panels[-2:], rows * columns - nj)
+    drop(panels[-2:], rows * columns - nj)
     figure.align_ylabels()
-    compared = "recorded" if beside is not None else "reference" if wanted.followed else "resting pose"
     handles = [_many_coloured("this run", nj), *_line_handles(wanted, beside)]
-    handles.append(Patch(facecolor=style.FAINT, alpha=0.3, label=f"error: run − {compared}"))
+    handles.append(Patch(facecolor=style.FAINT, alpha=0.3, label=against.label))
     if partly:
         low, high = score.window
         handles.append(Patch(facecolor=style.SHADE, label=f"not scored (scored: {low:g} to {high:g} s)"))
@@ -203,21 +234,12 @@ def joints_figure(run: Run, score: Score, wanted: Wanted, beside: Beside | None,
     return figure
 
 
-def _grid(count: int) -> tuple[int, int]:
-    """Rows and columns of so many panels, filled row by row."""
-    columns = 1 if count <= MOST_ROWS else 2
-    return -(-count // columns), columns
-
-
-def _drop(last: Any, count: int) -> None:
-    """Take away so many panels at the end of the last rows, which nothing is drawn in."""
-    for row in last:
-        for axes in row[len(row) - count :]:
-            axes.remove()
-
-
 LEAST_SPAN = 1.0
 """Of an axis of positions, so that a joint that stands still is drawn so [° or mm]."""
+LEAST_ERROR = 0.1
+"""The least limit of an axis of errors [° or mm]."""
+LEAST_DISTANCE = 1e-3
+"""Of a point from where it should be [mm]; what is nearer is there."""
 
 
 def _widen(axes: Axes, own: Reading) -> None:
@@ -229,11 +251,11 @@ def _widen(axes: Axes, own: Reading) -> None:
 
 def _joint_title(run: Run, score: Score, wanted: Wanted, beside: Beside | None, j: int) -> str:
     parts, unit = [], run.spec.joint_units[j]
-    if beside is not None and score.recorded is not None:
-        parts.append(f"{_text(score.recorded.rmse[j], unit)} from the recording")
     if wanted.followed:
         parts.append(f"{_text(score.tracking.rmse[j], unit)} from the reference")
-    elif not parts:
+    if beside is not None and score.recorded is not None:
+        parts.append(f"{_text(score.recorded.rmse[j], unit)} from the recording")
+    if not parts:
         parts.append(f"{_text(_rest_rmse(run, score, wanted, j), unit)} from the resting pose")
     return f"{run.spec.joints[j]}   RMSE " + ", ".join(parts)
 
@@ -247,20 +269,6 @@ def _rest_rmse(run: Run, score: Score, wanted: Wanted, j: int) -> float:
 
 def _text(value: float, unit: str) -> str:
     return f"{reading(unit).text(value, '.2f')} ({value:.4f} {unit})"
-
-
-def _residual(run: Run, wanted: Wanted, beside: Beside | None, j: int) -> tuple[Array, Array]:
-    factor = reading(run.spec.joint_units[j]).factor
-    if beside is None:
-        return run.time, factor * (run.position[:, j] - wanted.position[:, j])
-    inside = (run.time >= beside.time[0]) & (run.time <= beside.time[-1])
-    time = run.time[inside]
-    return time, factor * (run.position[inside, j] - np.interp(time, beside.time, beside.position[:, j]))
-
-
-def _even_limits(axes: Axes, values: Array) -> None:
-    span = max(1.1 * float(np.abs(values).max()), 0.1)
-    axes.set_ylim(-span, span)
 
 
 def _plot_wanted(axes: Axes, x: Array, wanted: Wanted, y: Array, order: float = 2.5) -> None:
@@ -292,11 +300,12 @@ def _many_coloured(label: str, nj: int) -> Line2D:
 
 
 def foot_path_figure(run: Run, kinematics: Kinematics, wanted: Wanted, beside: Beside | None, label: str) -> Figure:
-    """The robot at a few poses of the run, and beside it the path alone and larger, in mm with y downwards."""
+    """The robot at a few poses of the run, the path alone and larger, and how far it is off, in mm, y downwards."""
     m, phase = kinematics.morphology, kinematics.phase
     what = "foot" if phase == "swing" else "base"
-    figure = style.new_figure(WIDTH, 5.5, f"{label}: path of the {what}")
-    side_view, path = figure.subplots(1, 2, width_ratios=[1.0, 1.0])
+    figure = style.new_figure(WIDTH, 6.2, f"{label}: path of the {what}")
+    spans = figure.add_gridspec(2, 2, height_ratios=[3.6, 1.0])
+    side_view, path, strip = (figure.add_subplot(own) for own in (spans[:, 0], spans[0, 1], spans[1, 1]))
 
     def trace(angles: Array) -> Array:
         bones = skeleton(m, angles, phase)
@@ -306,7 +315,7 @@ def foot_path_figure(run: Run, kinematics: Kinematics, wanted: Wanted, beside: B
     shown = [walked, target[np.isfinite(target[:, 0])]]
     still = bool(np.ptp(shown[1], axis=0).max() < 1.0)
     for axes in (side_view, path):
-        axes.plot(*walked.T, color=style.FOOT, linewidth=style.RUN_WIDTH, zorder=3)
+        axes.plot(*walked.T, color=style.FOOT, linewidth=PATH_WIDTH, alpha=0.8, zorder=3)
         if still:
             axes.plot(*target[0], **TARGET, zorder=6)
         else:
@@ -314,7 +323,7 @@ def foot_path_figure(run: Run, kinematics: Kinematics, wanted: Wanted, beside: B
     if beside is not None:
         shown.append(trace(beside.position))
         for axes in (side_view, path):
-            axes.plot(*shown[-1].T, color=style.RECORDED, linewidth=style.RECORDED_WIDTH, alpha=0.7, zorder=2.6)
+            axes.plot(*shown[-1].T, color=style.RECORDED, linewidth=style.THIN_WIDTH, alpha=0.55, zorder=2.6)
     chosen = well_spaced(walked, 4)
     for strength, k in zip((1.0, 0.25, 0.25, 0.25), chosen, strict=False):
         sketch(side_view, m, run.position[k], phase, strength=strength)
@@ -324,9 +333,16 @@ def foot_path_figure(run: Run, kinematics: Kinematics, wanted: Wanted, beside: B
     start, end = walked[[0, -1]]
     path.plot(*start, marker="o", markersize=8, markerfacecolor="white", markeredgecolor=style.INK, zorder=5)
     path.plot(*end, marker="s", markersize=6, color=style.INK, zorder=5)
-    _equal(side_view, np.concatenate([skeleton(m, run.position[chosen], phase).points * MM, *shown]))
-    _equal(path, np.concatenate(shown))
-    handles: list[Artist] = [Line2D([], [], color=style.FOOT, linewidth=style.RUN_WIDTH + 0.6, label="this run")]
+    _equal(side_view, np.concatenate([skeleton(m, run.position[chosen], phase).points * MM, *shown]), "box")
+    side_view.set_anchor("N")
+    _equal(path, np.concatenate(shown), "datalim")
+    against = compared(run, wanted, beside)
+    off = np.linalg.norm(trace(against.run) - trace(against.other), axis=1)
+    draw_distance(strip, against.time, off, style.FOOT, LEAST_DISTANCE)
+    strip.set_xlim(run.time[0], run.time[-1] + run.spec.control_dt)
+    title = f"distance from the {DISTANCES[against.name]}, {_median_text(off)}"
+    style.dress(strip, title=title, x="time [s]", y="[mm]")
+    handles: list[Artist] = [Line2D([], [], color=style.FOOT, linewidth=PATH_WIDTH, alpha=0.8, label="this run")]
     handles += _line_handles(wanted, beside)
     if still:
         handles[1] = Line2D([], [], **TARGET, label=wanted.label)
@@ -336,92 +352,23 @@ def foot_path_figure(run: Run, kinematics: Kinematics, wanted: Wanted, beside: B
     return figure
 
 
-def _equal(axes: Axes, points: Array) -> None:
-    """Limits in which ``points`` (n, 2) fill a square with a margin, a millimetre being as long both ways."""
+def _median_text(distance: Array) -> str:
+    """Of distances in mm."""
+    median = float(np.median(distance))
+    return f"median {median:.2g} mm" if median >= LEAST_DISTANCE else f"median below {LEAST_DISTANCE:g} mm"
+
+
+def _equal(axes: Axes, points: Array, adjustable: Literal["box", "datalim"]) -> None:
+    """Limits in which ``points`` (n, 2) fill a square with a margin, a millimetre being as long both ways.
+
+    Args:
+        axes: changed in place.
+        points: what is to be seen [mm].
+        adjustable: whether the axes shrink to that square, or show more beside it.
+    """
     low, high = points.min(axis=0), points.max(axis=0)
     half = max(0.56 * float((high - low).max()), 5.0)
     (x, y) = (low + high) / 2
     axes.set_xlim(x - half, x + half)
     axes.set_ylim(y + half, y - half)
-    axes.set_aspect("equal", adjustable="box")
-
-
-def commands_figure(run: Run, score: Score, label: str) -> Figure:
-    """A panel of each actuator's command, with its limits where they are near and where they cut a command off."""
-    spec, na = run.spec, len(run.spec.actuators)
-    rows, columns = _grid(na)
-    pressures = set(spec.command_units) == {"Pa"}
-    title = f"{label}: commanded pressures" if pressures else f"{label}: commands"
-    figure = style.new_figure(WIDTH * (1 + 0.4 * (columns - 1)), 1.1 + 1.9 * rows, title)
-    panels, limited = figure.subplots(rows, columns, sharex=True, squeeze=False), False
-    for i, name in enumerate(spec.actuators):
-        axes, own = panels[divmod(i, columns)], reading(spec.command_units[i])
-        low, high = spec.command_low[i] * own.factor, spec.command_high[i] * own.factor
-        command, asked, clipped = run.command[:, i] * own.factor, run.asked[:, i] * own.factor, run.clipped[:, i]
-        title = f"{name}   {own.text(score.effort[i], '.1f' if pressures else '.3g')} RMS"
-        if clipped.any():
-            title += f", {100 * clipped.mean():.1f} % of commands clipped"
-        last = i + columns >= na
-        style.dress(axes, title=title, y=f"{name} [{own.unit}]" if own.unit else name, x="time [s]" if last else "")
-        axes.tick_params(labelbottom=last)
-        axes.set_xlim(run.time[0], run.time[-1] + spec.control_dt)
-        bottom, top = _command_limits(axes, command, low, high, own)
-        for edge, beyond in ((low, bottom), (high, top)):
-            if np.isfinite(edge):
-                axes.axhspan(edge, beyond, color=style.SHADE, linewidth=0, zorder=0)
-                axes.axhline(edge, color=style.FAINT, linewidth=style.THIN_WIDTH)
-        view = axes.get_ylim()
-        axes.set_ylim(*view)
-        limited = limited or view[0] < low or high < view[1]
-        axes.step(run.time, command, where="post", color=style.actuator_colour(i), linewidth=style.RUN_WIDTH)
-        for edge, beyond, cut in ((low, bottom, asked < low), (high, top, asked > high)):
-            bars = _bars(run, clipped & cut)
-            if bars:
-                axes.broken_barh(bars, (min(edge, beyond), abs(beyond - edge)), facecolor=style.ALERT, linewidth=0)
-    _drop(panels[-1:], rows * columns - na)
-    figure.align_ylabels()
-    handles: list[Artist] = []
-    if limited:
-        handles.append(Patch(facecolor=style.SHADE, edgecolor=style.FAINT, label="beyond the limits"))
-    if run.clipped.any():
-        handles.append(Patch(facecolor=style.ALERT, label="clipped: more was asked for than the limit allows"))
-    if handles:
-        style.legend_below(figure, handles)
-    return figure
-
-
-def _bars(run: Run, where: NDArray[np.bool_]) -> list[tuple[float, float]]:
-    """(from, width) [s] of the stretches where ``where`` holds, none too narrow to be seen."""
-    edges = np.diff(np.concatenate([[0], where.astype(int), [0]]))
-    dt, least = run.spec.control_dt, 0.002 * float(run.time[-1] - run.time[0])
-    begins, ends = run.time[np.flatnonzero(edges == 1)], run.time[np.flatnonzero(edges == -1) - 1] + dt
-    return [(float(a), max(float(b - a), least)) for a, b in zip(begins, ends, strict=True)]
-
-
-def _command_limits(axes: Axes, command: Array, low: float, high: float, own: Reading) -> tuple[float, float]:
-    """Show the whole range where the commands use half of it, else what they use, and say where the limits are."""
-    least, most = float(command.min()), float(command.max())
-    span = high - low
-    if np.isfinite(low) and most < low + 0.5 * span and least >= low and low >= 0:
-        reach = max(most - low, 0.02 * span if np.isfinite(span) else 1e-3)
-        bottom, top = low - 0.08 * reach, low + 1.25 * reach
-        if np.isfinite(high):
-            _say_limit(axes, f"limit {high:g} {own.unit} ↑")
-        axes.set_ylim(bottom, top)
-        return bottom, max(top, high)
-    if np.isfinite(span) and (most - least >= 0.5 * span or low >= 0):
-        axes.set_ylim(low - 0.06 * span, high + 0.06 * span)
-        return low - 0.06 * span, high + 0.06 * span
-    reach = max(most - least, 1e-3 * max(abs(most), abs(least)), 1e-6)
-    bottom, top = least - 0.2 * reach, most + 0.2 * reach
-    if bottom > low > -np.inf or top < high < np.inf:
-        _say_limit(axes, f"limits {low:g} to {high:g} {own.unit}".rstrip())
-    axes.set_ylim(bottom, top)
-    return min(bottom, low), max(top, high)
-
-
-def _say_limit(axes: Axes, text: str) -> None:
-    axes.annotate(
-        text, (1.0, 1.0), xycoords="axes fraction", xytext=(0, 4), textcoords="offset points", ha="right",
-        fontsize=style.SMALL_SIZE, color=style.FAINT,
-    )  # fmt: skip
+    axes.set_aspect("equal", adjustable=adjustable)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import textwrap
+
 import numpy as np
 from matplotlib.artist import Artist
 from matplotlib.colors import LogNorm
@@ -13,8 +15,12 @@ from equimus_ctrl.report import style
 
 MOST_LINES = 8
 LINES = (*style.JOINT_COLOURS, *style.ACTUATOR_COLOURS[:2], style.ACTUATOR_COLOURS[3], style.ACTUATOR_COLOURS[5])
+SMALLEST = 1e-5
+"""Of the largest sensitivity; what is less is not drawn."""
 ROW = 0.21
 """Height of a parameter's row [inch]."""
+TITLE_CHARACTERS = 8.2
+"""Of a figure's title that fit in an inch of its width."""
 
 
 def sensitivity_figures(found: Sensitivity) -> dict[str, Figure]:
@@ -28,9 +34,9 @@ def map_figure(found: Sensitivity) -> Figure:
     felt = np.array([k for k in range(len(found.names)) if not np.all(found.local[k] == 0)], dtype=int)
     n, idle = len(felt), len(found.names) - len(felt)
     title = "RMSE with one parameter changed at a time"
-    if idle:
-        title += f" ({idle} without any effect not shown)"
     width = 2.6 + len(joints) * (0.9 + 0.55 * len(found.shares)) + 0.8
+    if idle:
+        title = textwrap.fill(f"{title} ({idle} without any effect not shown)", int(TITLE_CHARACTERS * width))
     figure = style.new_figure(width, 1.5 + ROW * max(n, 1), title)
     grid = figure.subplots(1, len(joints), squeeze=False, sharey=True)[0]
     values, diverged, names = 1e3 * found.rmse[felt], found.diverged[felt], [found.names[k] for k in felt]
@@ -113,32 +119,32 @@ def curves_figure(found: Sensitivity) -> Figure:
 
 
 def local_figure(found: Sensitivity) -> Figure:
-    """How much one per cent of each parameter moves the predictions, to first order."""
+    """How far one per cent of each parameter moves the predictions, to first order: dots, for the scale has no zero."""
     joints, n = found.model.robot.joint_names, len(found.names)
     figure = style.new_figure(9.5, 1.7 + ROW * n, "How far one per cent of each parameter moves the predictions")
     axes = figure.add_subplot()
     values = 1e3 * found.local
     positive = values[np.isfinite(values) & (values > 0)]
-    low = max(float(positive.min()), 1e-5 * float(positive.max())) if len(positive) else 1e-3
+    low, high = (float(positive.min()), float(positive.max())) if len(positive) else (1e-3, 1.0)
+    low = max(low, SMALLEST * high)
     places = np.arange(n)
-    thick = 0.8 / len(joints)
     for j in range(len(joints)):
-        shown = np.nan_to_num(values[:, j])
-        offset = places + (j - (len(joints) - 1) / 2) * thick
-        drawn = shown >= low
-        axes.barh(offset[drawn], shown[drawn], height=thick, color=style.joint_colour(j), linewidth=0)
-    idle = np.all(~(values >= low), axis=1)
+        drawn = np.nan_to_num(values[:, j]) >= low
+        axes.plot(
+            values[drawn, j], places[drawn], "o", color=style.joint_colour(j), markersize=6.5, alpha=0.85, zorder=3
+        )
     axes.set_xscale("log")
-    axes.set_xlim(left=low / 1.5)
-    for i in np.flatnonzero(idle):
-        text = "none" if np.all(values[i] == 0) else "not known" if np.isnan(values[i]).all() else f"below {low:.0e}"
+    axes.set_xlim(low / 1.5, 1.5 * high)
+    for i in np.flatnonzero(np.all(~(values >= low), axis=1)):
+        text = "none" if np.all(values[i] == 0) else "not known" if np.isnan(values[i]).all() else f"below {low:.1g}"
         axes.text(low / 1.4, float(i), text, va="center", fontsize=7.5, color=style.FAINT)
+    axes.xaxis.set_major_formatter(lambda value, _: f"{value:g}")
     axes.set_yticks(places, found.names)
     axes.set_ylim(n - 0.4, -0.6)
     style.dress(axes, x="RMS change of the predicted angle [mrad]")
-    axes.grid(False, axis="y")
     handles: list[Artist] = [
-        Line2D([], [], color=style.joint_colour(j), linewidth=6, label=joint) for j, joint in enumerate(joints)
+        Line2D([], [], color=style.joint_colour(j), linestyle="", marker="o", label=joint)
+        for j, joint in enumerate(joints)
     ]
     style.legend_below(figure, handles)
     return figure

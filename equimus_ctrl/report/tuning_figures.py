@@ -9,9 +9,11 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
+from matplotlib.ticker import MaxNLocator
 
 from equimus_ctrl.controllers.pid_settings import PidSettings
 from equimus_ctrl.report import style
+from equimus_ctrl.report.error_panel import error_limits
 from equimus_ctrl.robots.reading import reading
 from equimus_ctrl.tuning.autotune import unseen_problem
 from equimus_ctrl.tuning.objective import Evaluation, Problem
@@ -27,6 +29,8 @@ STAGES = {
     "nelder-mead": ("Nelder–Mead", style.JOINT_COLOURS[1]),
 }
 BEFORE, AFTER = style.FAINT, style.JOINT_COLOURS[0]
+LEAST_ERROR = 0.1
+"""The least limit of an axis of errors [°]."""
 MOST_LEGS = 20
 SHOWN = 2
 """Robots whose responses are drawn where each is simulated again for that: the model and the hardest."""
@@ -85,6 +89,7 @@ def convergence_figure(result: TuningResult) -> Figure:
     axes.plot(np.arange(len(trials)), np.where(best > high, np.nan, best), color=style.INK, linewidth=1.6, zorder=4)
     handles.append(Line2D([], [], color=style.INK, linewidth=1.6, label="best so far"))
     axes.set_ylim(low - 0.06 * (high - low), top + 0.05 * (high - low))
+    axes.xaxis.set_major_locator(MaxNLocator(integer=True))
     before, after = begun.told, result.best.evaluation.told
     robots = len(result.problem.members)
     style.dress(
@@ -134,25 +139,34 @@ def response_figure(result: TuningResult) -> Figure:
     """What the model's leg does with the first and with the tuned gains, and the tuned ones on every leg."""
     problem = result.problem
     joints = problem.model.morphology.joint_names
-    figure = style.new_figure(
-        5.0 * len(problem.tasks) + 1.0, 2.5 * (len(joints) + 1) + 0.6, "Response before and after"
-    )
-    grid = figure.subplots(len(joints) + 1, len(problem.tasks), squeeze=False, sharex="col")
+    rows, heights = 2 * len(joints) + 1, [*[2.0, 1.2] * len(joints), 1.8]
+    figure = style.new_figure(5.0 * len(problem.tasks) + 1.0, 1.1 * sum(heights), "Response before and after")
+    grid = figure.subplots(rows, len(problem.tasks), squeeze=False, sharex="col", height_ratios=heights)
+    own = reading("rad")
     for k, task in enumerate(problem.tasks):
         time = np.arange(len(task.reference)) * task.control_dt
         q_before, u_before, done_before = problem.simulate(result.start, 0, k)
         q_after, u_after, _ = problem.simulate(result.settings, 0, k)
         others = [run.position for run in problem.simulate_all(_on_each(problem, result)[1:], k)]
-        wanted = np.degrees(problem.wanted(k))
+        wanted = problem.wanted(k)
         for j, joint in enumerate(joints):
-            axes = grid[j, k]
-            for other in others:
-                axes.plot(time, np.degrees(other[:, j]), color=AFTER, alpha=0.25, linewidth=0.8)
-            axes.plot(time[:done_before], np.degrees(q_before[:done_before, j]), color=BEFORE, linewidth=1.5)
-            axes.plot(time, np.degrees(q_after[:, j]), color=AFTER, linewidth=1.8)
-            axes.plot(time, wanted[:, j], color=style.REFERENCE, linestyle=style.DASHES, linewidth=1.1)
+            axes, strip = grid[2 * j, k], grid[2 * j + 1, k]
+            errors = []
+            for position, done, colour, width, alpha in (
+                *((other, len(time), AFTER, 0.8, 0.25) for other in others),
+                (q_before, done_before, BEFORE, 1.5, 1.0),
+                (q_after, len(time), AFTER, 1.8, 1.0),
+            ):
+                angle = own.factor * position[:done, j]
+                errors.append(angle - own.factor * wanted[:done, j])
+                for panel, values in ((axes, angle), (strip, errors[-1])):
+                    panel.plot(time[:done], values, color=colour, alpha=alpha, linewidth=width)
+            axes.plot(time, own.factor * wanted[:, j], color=style.REFERENCE, linestyle=style.DASHES, linewidth=1.1)
+            error_limits(strip, errors, own.unit, LEAST_ERROR)
             style.dress(axes, title=f"{task.name}: {joint}", y="angle [°]")
+            style.dress(strip, y="error [°]")
         _pressure_panel(grid[-1, k], result, time, u_before[:done_before], u_after)
+    figure.align_ylabels()
     handles = [
         Line2D([], [], color=style.REFERENCE, linestyle=style.DASHES, label="reference"),
         Line2D([], [], color=BEFORE, linewidth=1.5, label="first gains"),

@@ -14,6 +14,7 @@ from pathlib import Path
 
 from PIL import Image
 
+from equimus_ctrl import outputs, presets
 from equimus_ctrl.errors import ConfigError, NotAvailable
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.report.film import Film, Frame, Strip, make_film, palette_colours
@@ -22,6 +23,7 @@ from equimus_ctrl.types import Run
 
 _Progress = Callable[[float], None] | None
 
+WITHOUT_FFMPEG = "there is no ffmpeg for mp4 (pip install 'equimus-ctrl[video]' brings one), so it is a gif"
 MP4_SIZE = (720, 640)
 GIF_SIZE = (480, 426)
 GIF_FRAMES = 600
@@ -41,6 +43,29 @@ class VideoResult:
     path: Path
     renderer: str
     note: str = ""
+
+
+def check_video(path: Path, force: bool = False) -> str:
+    """What is known of a video before anything is simulated: whether it can be written, and if not as asked for, why.
+
+    Args:
+        path: of the file; ends in ``.mp4`` or ``.gif``.
+        force: whether what is there already is replaced.
+
+    Returns:
+        Why it becomes a gif, as a sentence; "" where it does not.
+
+    Raises:
+        NotAvailable: for any other ending.
+        ConfigError: where it cannot be written, or something is there already.
+    """
+    suffix = check_suffix(path)
+    presets.check_file(path)
+    without = suffix == ".mp4" and find_ffmpeg() is None
+    for film in {path, path.with_suffix(".gif")} if suffix == ".mp4" else {path}:
+        outputs.check_new(film, force)
+        presets.check_file(film)
+    return f"{WITHOUT_FFMPEG}: {path.with_suffix('.gif')}" if without else ""
 
 
 def check_suffix(path: Path) -> str:
@@ -83,7 +108,7 @@ def save_video(
     notes: list[str] = []
     ffmpeg = find_ffmpeg() if suffix == ".mp4" else None
     if suffix == ".mp4" and ffmpeg is None:
-        notes.append("there is no ffmpeg for mp4 (pip install imageio-ffmpeg brings one), so it is a gif")
+        notes.append(WITHOUT_FFMPEG)
     if ffmpeg is not None:
         try:
             film = make_film(run, model, fps, *MP4_SIZE)

@@ -97,6 +97,7 @@ def autotune(
     where: Where = HERE,
     budget: float | None = None,
     prepare: Prepare | None = None,
+    stage: Callable[[str], None] = lambda name: None,
 ) -> TuningResult:
     """Search, then look hard at what was found.
 
@@ -110,6 +111,7 @@ def autotune(
         where: candidates are tried; in threads of this process by default.
         budget: longest time of the search [s]; none by default.
         prepare: done first in every other process.
+        stage: told what is done after the last candidate.
 
     Raises:
         NothingFeasible: where no candidate was stable and within the limits on every leg.
@@ -128,6 +130,7 @@ def autotune(
         search.evaluate = lambda batch: problem.evaluate([made(v) for v in batch], pool, pool.count)
         problem.warm_up()
         interrupted = search.interrupted()
+        stage("verifying the best")
         best = best_feasible(search.history, lambda t: problem.verified(made(t.values)))
         settings = made(best.values)
         start = search.history[0]
@@ -136,14 +139,17 @@ def autotune(
         start_unseen: list[Evaluation] = []
         checks: list[CrossCheck] = []
         try:
+            stage("robots never tuned on")
             unseen = unseen_problem(problem, study)
             unseen.warm_up()
             on_unseen = _one_by_one(unseen, settings, pool)
             start_unseen = _one_by_one(unseen, start_settings, pool)
+            stage("MuJoCo plant")
             checks = [cross_check(problem, settings, k) for k in range(len(problem.tasks))]
         except KeyboardInterrupt:
             # The gains are found; what is missing is only how they do elsewhere.
             interrupted = True
+    stage("margins")
     return TuningResult(
         study,
         problem,

@@ -162,6 +162,7 @@ def tune_on_plant(
     where: Where = HERE,
     budget: float | None = None,
     prepare: Callable[[], object] | None = None,
+    stage: Callable[[str], None] = lambda name: None,
 ) -> PlantTuning:
     """Search, then try the result on robots that took no part.
 
@@ -172,6 +173,7 @@ def tune_on_plant(
         problem: see ``make_plant_problem``.
         journal: where evaluations are kept and found again.
         notify: called after each candidate.
+        stage: told what is done after the last candidate.
         where: candidates are tried; in processes of this computer by default.
         budget: longest time of the search [s]; none by default.
         prepare: called first in every process.
@@ -191,6 +193,7 @@ def tune_on_plant(
         settings, first = problem.candidate(np.array(best.values)), problem.first
         try:
             seed = study.seed + UNSEEN
+            stage("robots never tuned on")
             others = make_members(problem.model, study.ensemble, study.ensemble.unseen, seed, fixed=False)
             on_unseen, start_unseen = replace(
                 problem, members=others, seed=seed, starts=(), margin=False, hardest=0

@@ -57,6 +57,7 @@ def autotune(
     *,
     begin: Callable[[int], None] = lambda total: None,
     notify: Callable[[Any], None] = lambda trial: None,
+    stage: Callable[[str], None] = lambda name: None,
     **changes: Any,
 ) -> Tuned:
     """Tune a controller by a study and write its settings and record; started again, it goes on where it was stopped.
@@ -68,6 +69,7 @@ def autotune(
         options: see ``AutotuneOptions``.
         begin: called with the number of candidates before the first.
         notify: called after each candidate.
+        stage: told what is done after the last candidate.
         **changes: of the options, one by one.
 
     Raises:
@@ -114,7 +116,7 @@ def autotune(
     reused = len(store.rows)
     begin(settings.candidates)
     try:
-        result = tune(settings, problem, journal.RowJournal(store), notify, where, options.budget)
+        result = tune(settings, problem, journal.RowJournal(store), notify, where, options.budget, stage=stage)
     finally:
         store.close()
     text = presets.toml_text(result.settings.to_dict(), _comment(controller, result, path))
