@@ -144,7 +144,7 @@ from .types import (
 from .workflow import (
     check as check,
     compare as compare,
-    diagnose_recordings as diagnose_recordings,
+    diagnose as diagnose,
     export_model as export_model,
     export_recordings as export_recordings,
     identify_poses as identify_poses,
@@ -154,8 +154,8 @@ from .workflow import (
     load_model as load_model,
     run_scenario as run_scenario,
     save_model as save_model,
-    score_recordings as score_recordings,
-    sensitivity_of as sensitivity_of,
+    score as score,
+    sensitivity as sensitivity,
 )
 
 __version__: str

@@ -25,7 +25,7 @@ from equimus_ctrl.options import AutotuneOptions
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from equimus_ctrl.workflow import Tuned
+    from equimus_ctrl.workflow import TunedFiles
 
 StudyFile = Annotated[
     Path | None, typer.Option(help="Study file (TOML); the controller's, leg.toml or any.toml in tuning/ by default.")
@@ -117,7 +117,7 @@ def _tune(
             stage = "on other robots" if last else trial.stage
             progress.update(task, description=stage, completed=trial.index + 1, best=best)
 
-        tuned = workflow.autotune(
+        tuned = workflow.tune_into(
             controller,
             study,
             workflow.load_model(model),
@@ -147,7 +147,7 @@ def _tune(
         raise typer.Exit(130)
 
 
-def _print(console: Console, tuned: Tuned) -> None:
+def _print(console: Console, tuned: TunedFiles) -> None:
     result = tuned.result
     if result.interrupted or result.timed_out:
         how = "stopped" if result.interrupted else "the time was up"

@@ -73,7 +73,7 @@ def diagnose(
         from equimus_ctrl import workflow
 
         workflow.load_plugins(plugins or ())
-        found = workflow.diagnose_recordings(
+        found = workflow.diagnose(
             recordings,
             chosen.read(recordings),
             options,

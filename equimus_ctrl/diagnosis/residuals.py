@@ -7,10 +7,11 @@ from typing import Any, Literal
 
 from equimus_ctrl.diagnosis.coordinates import Coordinate, written
 from equimus_ctrl.types import Array
+from equimus_ctrl.shown import Short
 
 
-@dataclass(frozen=True, eq=False)
-class Residuals:
+@dataclass(frozen=True, eq=False, repr=False)
+class Residuals(Short):
     """Measured − predicted of one state of the model.
 
     Attributes:

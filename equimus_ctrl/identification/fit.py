@@ -29,6 +29,7 @@ from equimus_ctrl.identification.uncertainty import Uncertainty, uncertainty
 from equimus_ctrl.models.augmented import unknown_starts
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.types import Array
+from equimus_ctrl.shown import Short
 
 DAMPINGS = 10.0 ** np.array([-3.0, -1.5, 0.0, 1.5])
 """Around the last damping, these factors are tried side by side, with two choices of starts each: a block of lanes
@@ -78,8 +79,8 @@ class SensorZero:
     value: float
 
 
-@dataclass(frozen=True, eq=False)
-class Fit:
+@dataclass(frozen=True, eq=False, repr=False)
+class Fit(Short):
     """Where a search ended.
 
     Attributes:

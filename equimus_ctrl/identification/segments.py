@@ -30,6 +30,7 @@ from equimus_ctrl.identification.channels import NOTHING, Channels, channels_of,
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.recordings.smoothing import RecordedMotion, recorded_motion
 from equimus_ctrl.types import Array, Recording
+from equimus_ctrl.shown import Short
 
 LEAST_SAMPLES = 10
 DELAY_SHARE = 0.2
@@ -44,8 +45,8 @@ LEAST_TRUST = 1e-4
 """In units of that in a sample."""
 
 
-@dataclass(frozen=True, eq=False)
-class Segment:
+@dataclass(frozen=True, eq=False, repr=False)
+class Segment(Short):
     """One start and what was measured from there on.
 
     Attributes:

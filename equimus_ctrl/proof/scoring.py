@@ -21,6 +21,7 @@ from equimus_ctrl.proof.estimates import (
 from equimus_ctrl.proof.shares import Share
 from equimus_ctrl.proof.tally import Tally, confusion, tally
 from equimus_ctrl.robots.base import Robot
+from equimus_ctrl.shown import Short
 
 SCHEMA = "equimus-ctrl/proof-score/1"
 MOST_FALSE_ALARMS = 0.01
@@ -100,8 +101,8 @@ class Effort:
         }
 
 
-@dataclass(frozen=True, eq=False)
-class Score:
+@dataclass(frozen=True, eq=False, repr=False)
+class Score(Short):
     """What a proof came to.
 
     Attributes:
@@ -121,6 +122,13 @@ class Score:
     heldout: tuple[HeldOut, ...]
     effort: Effort
     robots: Robots = "elastic"
+
+    def told(self) -> str:
+        """How many cases, and which goals are met."""
+        by_state: dict[str, int] = {}
+        for goal in self.goals:
+            by_state[goal.state] = by_state.get(goal.state, 0) + 1
+        return f" of {len(self.cases)} cases: goals " + ", ".join(f"{n} {state}" for state, n in by_state.items())
 
     @property
     def ours(self) -> Tally:

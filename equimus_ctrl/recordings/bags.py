@@ -17,10 +17,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from equimus_ctrl.errors import RecordingError
+from equimus_ctrl.errors import RecordingError, needs
 from equimus_ctrl.recordings.assemble import elements
 from equimus_ctrl.recordings.exported import Exported
-from equimus_ctrl.recordings.logs import Log, Table, Wanted, needs, reading
+from equimus_ctrl.recordings.logs import Log, Table, Wanted, reading
 from equimus_ctrl.recordings.mapping import Mapping as ColumnMapping
 from equimus_ctrl.recordings.mapping import Source
 from equimus_ctrl.recordings.messages import NANO, columns_of

@@ -10,7 +10,6 @@ from typing import Any
 
 from equimus_ctrl.presets import write_bytes
 from equimus_ctrl.recordings.exported import LIBRARY, Exported
-from equimus_ctrl.recordings.logs import needs
 
 
 def write_rerun(path: Path, trials: Sequence[Exported]) -> None:

@@ -19,6 +19,7 @@ from equimus_ctrl.recordings import checks
 from equimus_ctrl.recordings.checks import LEG, Limits
 from equimus_ctrl.recordings.sheet import PathLike, Sheet, number, open_sheet
 from equimus_ctrl.types import Array, Recording, frozen_array
+from equimus_ctrl.shown import Short
 
 JOINTS = ("hip", "knee")
 ACTUATORS = ("maa", "baa")
@@ -36,8 +37,8 @@ _SETTLED = 5.0  # deg; see step_release
 _RESTART = 0.1  # s
 
 
-@dataclass(frozen=True, eq=False)
-class StaticPoses:
+@dataclass(frozen=True, eq=False, repr=False)
+class StaticPoses(Short):
     """Joint angles at which the leg came to rest under constant pressures.
 
     Attributes:

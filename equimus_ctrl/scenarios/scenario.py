@@ -18,6 +18,7 @@ from equimus_ctrl.scenarios.context import CommandProfile as CommandProfile
 from equimus_ctrl.scenarios.context import ScenarioContext as ScenarioContext
 from equimus_ctrl.scenarios.site_path import SitePath
 from equimus_ctrl.types import Array, Recording, Reference, Start
+from equimus_ctrl.shown import Short
 
 OPTION = "option."
 """Before an option's name where a joint has that name too."""
@@ -55,8 +56,8 @@ class Arrival:
         return np.array([own.get(unit, self.slide) / reading(unit).factor for unit in units])
 
 
-@dataclass(frozen=True, eq=False)
-class Scenario:
+@dataclass(frozen=True, eq=False, repr=False)
+class Scenario(Short):
     """One thing to do with a robot, and how it is judged.
 
     Attributes:

@@ -9,6 +9,7 @@ import numpy as np
 from equimus_ctrl.errors import ConfigError
 from equimus_ctrl.scenarios.scenario import Scenario
 from equimus_ctrl.types import Array, PlantSpec, Run
+from equimus_ctrl.shown import Short
 
 
 @dataclass(frozen=True, eq=False)
@@ -130,8 +131,8 @@ def off_reference(position: Array, wanted: Array, spec: PlantSpec, scenario: Sce
     return np.where(endless, off - 2 * np.pi * np.round(off / (2 * np.pi)), off)
 
 
-@dataclass(frozen=True, eq=False)
-class Score:
+@dataclass(frozen=True, eq=False, repr=False)
+class Score(Short):
     """Figures of one run.
 
     Attributes:

@@ -17,6 +17,7 @@ from equimus_ctrl.tuning.search import Trial
 from equimus_ctrl.tuning.stability import Margins
 from equimus_ctrl.tuning.study import AnyStudy
 from equimus_ctrl.types import Array
+from equimus_ctrl.shown import Short
 
 LIBRARIES = ("equimus-ctrl", "numpy", "scipy", "numba", "casadi", "mujoco", "cmaes", "control")
 
@@ -56,8 +57,8 @@ def summed(found: Sequence[Evaluation]) -> dict[str, float]:
     return {"median": float(np.median(costs)), "worst": max(costs)} if costs else {}
 
 
-@dataclass(frozen=True, eq=False)
-class TuningResult:
+@dataclass(frozen=True, eq=False, repr=False)
+class TuningResult(Short):
     """What a study found.
 
     Attributes:

@@ -27,6 +27,7 @@ from equimus_ctrl.models.spread import latin_hypercube
 from equimus_ctrl.tuning.objective import Evaluation
 from equimus_ctrl.tuning.study import AnyStudy
 from equimus_ctrl.types import Array
+from equimus_ctrl.shown import Short
 
 GENERATIONS = 5
 """Of CMA-ES that a budget is to last for, where populations need not be smaller than usual for that; one that does not
@@ -55,8 +56,8 @@ class Journal(Protocol):
         ...
 
 
-@dataclass(frozen=True, eq=False)
-class Trial:
+@dataclass(frozen=True, eq=False, repr=False)
+class Trial(Short):
     """One candidate that was tried.
 
     Attributes:
