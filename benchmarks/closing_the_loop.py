@@ -129,7 +129,8 @@ def tuned(model: Model, folder: Path, name: str, options: argparse.Namespace) ->
     path = folder / f"{name}_pid.toml"
     if not path.exists():
         tune_into(
-            "pid", options.output / "study.toml",
+            "pid",
+            options.output / "study.toml",
             model=model,
             candidates=options.budget,
             output=path,

@@ -317,8 +317,11 @@ class Run(Short):
 
     @property
     def columns(self) -> dict[str, Array]:
-        """Column → values (n,): ``time``, ``cmd.*`` as applied, ``pos.*`` as measured, ``ref.*``, ``true.*`` where the
-        plant knows them, and ``asked.*`` as the controller had it; SI."""
+        """Column → values (n,), SI.
+
+        They are ``time``, ``cmd.*`` as applied, ``pos.*`` as measured, ``ref.*``, ``true.*`` where the plant knows
+        them, and ``asked.*`` as the controller had it.
+        """
         joints, actuators = self.spec.joints, self.spec.actuators
         parts = [("cmd", actuators, self.command), ("pos", joints, self.position), ("ref", joints, self.reference)]
         parts += [] if self.truth is None else [("true", joints, self.truth)]

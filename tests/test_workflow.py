@@ -463,7 +463,8 @@ def test_tuned_settings_are_not_lost_with_a_full_disk(
 
 def test_options_take_the_place_of_the_studys(study: Path, tmp_path: Path) -> None:
     tuned = workflow.tune_into(
-        "pid", study,
+        "pid",
+        study,
         candidates=2,
         seed=9,
         scenarios=["hold"],

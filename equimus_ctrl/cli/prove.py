@@ -72,7 +72,6 @@ def prove(
     from rich.progress import BarColumn, MofNCompleteColumn, TextColumn
 
     from equimus_ctrl import presets
-
     from equimus_ctrl.workflow.models import load_model
     from equimus_ctrl.workflow.proofs import experiment_of
 
@@ -89,8 +88,8 @@ def prove(
     columns = (TextColumn("{task.description:<17}"), BarColumn(bar_width=24), MofNCompleteColumn(), *times())
     try:
         with bars(console, *columns) as progress:
-            from equimus_ctrl.workflow.proofs import STAGES, prove
             from equimus_ctrl.workflow.proof_shards import shard_name
+            from equimus_ctrl.workflow.proofs import STAGES, prove
 
             tasks = {stage: progress.add_task(stage, total=options.cases, start=False) for stage in STAGES}
 
@@ -156,6 +155,8 @@ def _print(console: Console, found: Proof) -> None:
     for goal in missed:
         judged = "" if goal.judged else " (not judged: it depends on the computer)"
         console.print(f"missed: {goal.title}{judged}", style="yellow", markup=False)
-    undecided = sum(g.state == "open" for g in goals)
+    few, undecided = (sum(g.state == state for g in goals) for state in ("too few", "open"))
     if not missed:
-        console.print("no goal is missed" + (f"; {undecided} are undecided with so few cases" if undecided else ""))
+        told = [f"{few} have too few cases to be judged"] if few else []
+        told += [f"{undecided} are undecided"] if undecided else []
+        console.print("; ".join(["no goal is missed", *told]))

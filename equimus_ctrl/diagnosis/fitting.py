@@ -32,8 +32,8 @@ from equimus_ctrl.identification.residuals import followed
 from equimus_ctrl.identification.segments import Segment, led_along
 from equimus_ctrl.identification.simulators import Simulator
 from equimus_ctrl.identification.whitened_fit import whiten_fit
-from equimus_ctrl.types import Array
 from equimus_ctrl.shown import Short
+from equimus_ctrl.types import Array
 
 ROUNDS = 4
 """How often noise and parameters are estimated in turn, at most."""

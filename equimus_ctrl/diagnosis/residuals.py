@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 from equimus_ctrl.diagnosis.coordinates import Coordinate, written
-from equimus_ctrl.types import Array
 from equimus_ctrl.shown import Short
+from equimus_ctrl.types import Array
 
 
 @dataclass(frozen=True, eq=False, repr=False)

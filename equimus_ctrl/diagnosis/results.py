@@ -24,8 +24,8 @@ from equimus_ctrl.identification.noise import Noise
 from equimus_ctrl.identification.results import FittedChannel, fitted_channels, small_units
 from equimus_ctrl.identification.segments import Segment
 from equimus_ctrl.models.model import Model, model_to_dict
-from equimus_ctrl.types import Array
 from equimus_ctrl.shown import Short, by_name, counted
+from equimus_ctrl.types import Array
 
 if TYPE_CHECKING:
     from pandas import DataFrame

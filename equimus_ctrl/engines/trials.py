@@ -14,8 +14,8 @@ from equimus_ctrl.engines.limits import MOST_STEPS
 from equimus_ctrl.errors import ConfigError
 from equimus_ctrl.recordings.smoothing import RecordedMotion
 from equimus_ctrl.robots.base import Robot
-from equimus_ctrl.types import Array, PrescribedMotion, Recording
 from equimus_ctrl.shown import Short
+from equimus_ctrl.types import Array, PrescribedMotion, Recording
 
 R = TypeVar("R", bound=Robot)
 Condition = tuple[tuple[tuple[str, float], ...], tuple[tuple[str, float], ...]]

@@ -12,8 +12,8 @@ from equimus_ctrl.identification.parameters import FreeParameters
 from equimus_ctrl.identification.residuals import joint_rmse, residuals_of
 from equimus_ctrl.identification.segments import Segment
 from equimus_ctrl.identification.simulators import Simulator
-from equimus_ctrl.types import Array
 from equimus_ctrl.shown import Short
+from equimus_ctrl.types import Array
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -45,7 +45,9 @@ class Covariance(Short):
 
     def told(self) -> str:
         """How many parameters, and their standard errors."""
-        return f" of {counted(len(self.names), 'parameter')}: standard errors {by_name(self.names, self.standard_error)}"
+        return (
+            f" of {counted(len(self.names), 'parameter')}: standard errors {by_name(self.names, self.standard_error)}"
+        )
 
     def __array__(self, dtype: Any = None, copy: bool | None = None) -> Array:
         return np.array(self.values, dtype=dtype, copy=copy)
@@ -80,9 +82,7 @@ def covariance_of(parameters: FreeParameters, known: Uncertainty) -> Covariance:
     """
     units = tuple(own.unit for own in parameters.free)
     step = np.zeros(len(units)) if known.step_error is None else known.step_error
-    return Covariance(
-        tuple(parameters.names), units, frozen_array(known.covariance), known.factor, frozen_array(step)
-    )
+    return Covariance(tuple(parameters.names), units, frozen_array(known.covariance), known.factor, frozen_array(step))
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -28,8 +28,8 @@ from equimus_ctrl.identification.simulators import Simulator, simulator_for
 from equimus_ctrl.identification.uncertainty import Uncertainty, uncertainty
 from equimus_ctrl.models.augmented import unknown_starts
 from equimus_ctrl.models.model import Model
-from equimus_ctrl.types import Array
 from equimus_ctrl.shown import Short
+from equimus_ctrl.types import Array
 
 DAMPINGS = 10.0 ** np.array([-3.0, -1.5, 0.0, 1.5])
 """Around the last damping, these factors are tried side by side, with two choices of starts each: a block of lanes

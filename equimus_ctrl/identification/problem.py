@@ -15,7 +15,6 @@ from equimus_ctrl.identification.residuals import FARTHEST, difference, stacked_
 from equimus_ctrl.identification.segments import Segment
 from equimus_ctrl.identification.simulators import Simulator
 from equimus_ctrl.types import Array
-from equimus_ctrl.shown import Short
 
 Derivatives = tuple[list[Array], list[Array]]
 """For each segment (m, nj, p) ∂prediction/∂θ and (m, nj, s) ∂prediction/∂start."""

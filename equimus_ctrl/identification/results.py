@@ -30,9 +30,9 @@ from equimus_ctrl.identification.statics import StaticFit
 from equimus_ctrl.identification.uncertainty import TradeOff, Uncertainty
 from equimus_ctrl.models.model import Model, model_to_dict
 from equimus_ctrl.recordings import StaticPoses
-from equimus_ctrl.types import Array, Recording
 from equimus_ctrl.robots.base import Robot
 from equimus_ctrl.shown import Short, by_name, counted, listed
+from equimus_ctrl.types import Array, Recording
 
 if TYPE_CHECKING:
     from pandas import DataFrame

@@ -29,8 +29,8 @@ from equimus_ctrl.errors import ConfigError
 from equimus_ctrl.identification.channels import NOTHING, Channels, channels_of, measured_channels
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.recordings.smoothing import RecordedMotion, recorded_motion
-from equimus_ctrl.types import Array, Recording
 from equimus_ctrl.shown import Short
+from equimus_ctrl.types import Array, Recording
 
 LEAST_SAMPLES = 10
 DELAY_SHARE = 0.2

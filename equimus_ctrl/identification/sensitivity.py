@@ -16,8 +16,8 @@ from equimus_ctrl.identification.parameters import default_bounds, matching, uni
 from equimus_ctrl.identification.segments import Segment
 from equimus_ctrl.identification.simulators import Simulator, simulator_for
 from equimus_ctrl.models.model import Model
-from equimus_ctrl.types import Array
 from equimus_ctrl.shown import Short
+from equimus_ctrl.types import Array
 
 if TYPE_CHECKING:
     from pandas import DataFrame

@@ -26,8 +26,8 @@ from equimus_ctrl.models.model import Model
 from equimus_ctrl.models.symbolic import build
 from equimus_ctrl.robots.elastic.morphology import Phase, structure
 from equimus_ctrl.robots.mechanics import Structure
-from equimus_ctrl.types import Array
 from equimus_ctrl.shown import Short
+from equimus_ctrl.types import Array
 
 STATIC_KINDS = ("stiffness", "area", "rest_length")
 NEWTON_STEPS = 60

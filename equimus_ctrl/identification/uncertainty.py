@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from scipy.special import stdtrit
 
 from equimus_ctrl.identification.projection import Nuisance
-from equimus_ctrl.types import Array
 from equimus_ctrl.shown import Short
+from equimus_ctrl.types import Array
 
 UNSEEN = 1e-6
 """A direction in scaled parameters with less than this share of the strongest one's effect counts as without any: the

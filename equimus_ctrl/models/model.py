@@ -67,7 +67,11 @@ class Model(Short):
     def told(self) -> str:
         """Joints, actuators and effects."""
         robot, effects = self.robot, [f"{own.name} at {own.location}" for own in self.effects]
-        parts = (listed(robot.joint_names, "joint"), listed(robot.actuator_names, "actuator"), listed(effects, "effect"))
+        parts = (
+            listed(robot.joint_names, "joint"),
+            listed(robot.actuator_names, "actuator"),
+            listed(effects, "effect"),
+        )
         return f" {self.name}: {', '.join(parts)}" + (f", {self.phase}" if self.phase != "swing" else "")
 
     @property

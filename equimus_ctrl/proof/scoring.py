@@ -31,8 +31,10 @@ COVERAGE = (0.90, 0.98)
 LEAST_HELD_OUT = 0.8
 MOST_SECONDS = 60.0
 
-State = Literal["met", "missed", "open"]
-"""Open is what so few cases cannot decide: off the goal, but the 95 % interval reaches it, or there was no case."""
+State = Literal["met", "missed", "open", "too few"]
+"""Of so many cases as there are: missed, where the 95 % interval lies off the goal; too few, where not even the best
+outcome would have its interval within the goal, so that nothing can be claimed; else met, or open where the figure is
+off the goal and its interval reaches it."""
 
 
 @dataclass(frozen=True)
@@ -62,12 +64,15 @@ class Goal:
     @property
     def state(self) -> State:
         """Whether it is met."""
-        if not self.share.of:
-            return "open"
-        if self.low <= self.value <= self.high:
-            return "met"
+        within = self.low <= self.value <= self.high
+        if not self.judged:  # it is of these cases, not of all that there could be
+            return "met" if within else "missed"
         low, high = self.share.interval
-        return "missed" if high < self.needed[0] or low > self.needed[1] else "open"
+        if self.share.of and (high < self.needed[0] or low > self.needed[1]):
+            return "missed"
+        if not self.share.can_show(*self.needed):
+            return "too few"
+        return "met" if within else "open"
 
     def to_dict(self) -> dict[str, Any]:
         """As JSON data."""

@@ -7,8 +7,8 @@ from dataclasses import dataclass, field
 
 from equimus_ctrl.presets import plain_name
 from equimus_ctrl.recordings import csvfile
-from equimus_ctrl.types import Array, Recording
 from equimus_ctrl.shown import Short
+from equimus_ctrl.types import Array, Recording
 
 GROUPS = {"cmd": "command", "pos": "measured/position", "vel": "measured/velocity", "meas": "measured/actuator"}
 SITES = "measured/site"

@@ -18,8 +18,8 @@ from equimus_ctrl.errors import RecordingError
 from equimus_ctrl.recordings import checks
 from equimus_ctrl.recordings.checks import LEG, Limits
 from equimus_ctrl.recordings.sheet import PathLike, Sheet, number, open_sheet
-from equimus_ctrl.types import Array, Recording, frozen_array
 from equimus_ctrl.shown import Short
+from equimus_ctrl.types import Array, Recording, frozen_array
 
 JOINTS = ("hip", "knee")
 ACTUATORS = ("maa", "baa")

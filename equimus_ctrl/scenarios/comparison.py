@@ -11,8 +11,8 @@ from equimus_ctrl.models.model import Model
 from equimus_ctrl.robots.reading import by_unit
 from equimus_ctrl.scenarios.scenario import Scenario
 from equimus_ctrl.scenarios.scoring import ErrorFigures, Score
-from equimus_ctrl.types import Array, Run
 from equimus_ctrl.shown import Short, by_name, counted
+from equimus_ctrl.types import Array, Run
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -120,7 +120,8 @@ class Comparison(Short):
         controllers = dict.fromkeys(entry.controller for entry in self.entries)
         return (
             f" on {self.model.name}: {', '.join(controllers)} in {', '.join(self.scenarios)} under "
-            f"{counted(len(self.conditions), 'condition')}" + (f", {len(self.failures)} failed" if self.failures else "")
+            f"{counted(len(self.conditions), 'condition')}"
+            + (f", {len(self.failures)} failed" if self.failures else "")
         )
 
     def to_dataframe(self) -> DataFrame:

@@ -17,8 +17,8 @@ from equimus_ctrl.scenarios.context import POSITION, out_of_range
 from equimus_ctrl.scenarios.context import CommandProfile as CommandProfile
 from equimus_ctrl.scenarios.context import ScenarioContext as ScenarioContext
 from equimus_ctrl.scenarios.site_path import SitePath
-from equimus_ctrl.types import Array, Recording, Reference, Start
 from equimus_ctrl.shown import Short
+from equimus_ctrl.types import Array, Recording, Reference, Start
 
 OPTION = "option."
 """Before an option's name where a joint has that name too."""

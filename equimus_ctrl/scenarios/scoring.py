@@ -8,8 +8,8 @@ import numpy as np
 
 from equimus_ctrl.errors import ConfigError
 from equimus_ctrl.scenarios.scenario import Scenario
-from equimus_ctrl.types import Array, PlantSpec, Run
 from equimus_ctrl.shown import Short
+from equimus_ctrl.types import Array, PlantSpec, Run
 
 
 @dataclass(frozen=True, eq=False)

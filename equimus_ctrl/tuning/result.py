@@ -12,12 +12,12 @@ from typing import Any, ClassVar
 import numpy as np
 
 from equimus_ctrl.models.model import model_to_dict
+from equimus_ctrl.shown import Short
 from equimus_ctrl.tuning.objective import Evaluation
 from equimus_ctrl.tuning.search import Trial
 from equimus_ctrl.tuning.stability import Margins
 from equimus_ctrl.tuning.study import AnyStudy
 from equimus_ctrl.types import Array
-from equimus_ctrl.shown import Short
 
 LIBRARIES = ("equimus-ctrl", "numpy", "scipy", "numba", "casadi", "mujoco", "cmaes", "control")
 

@@ -24,10 +24,10 @@ from scipy.optimize import minimize
 
 from equimus_ctrl.controllers.search_space import Range
 from equimus_ctrl.models.spread import latin_hypercube
+from equimus_ctrl.shown import Short
 from equimus_ctrl.tuning.objective import Evaluation
 from equimus_ctrl.tuning.study import AnyStudy
 from equimus_ctrl.types import Array
-from equimus_ctrl.shown import Short
 
 GENERATIONS = 5
 """Of CMA-ES that a budget is to last for, where populations need not be smaller than usual for that; one that does not

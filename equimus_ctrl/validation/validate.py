@@ -16,6 +16,7 @@ from equimus_ctrl.errors import ConfigError
 from equimus_ctrl.frames import dataframe
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.robots.elastic.morphology import Morphology, structure
+from equimus_ctrl.shown import Short
 from equimus_ctrl.types import Array
 from equimus_ctrl.validation.conservation import ConservationResult, conservation_case
 from equimus_ctrl.validation.engines import Progress
@@ -42,7 +43,6 @@ from equimus_ctrl.validation.responses import (
 from equimus_ctrl.validation.robots import RobotsResult, robots_case, three_dof_case
 from equimus_ctrl.validation.speed import SpeedResult, speed_case
 from equimus_ctrl.validation.static import StaticResult, native_static, static_case
-from equimus_ctrl.shown import Short
 
 if TYPE_CHECKING:
     from pandas import DataFrame

@@ -26,8 +26,8 @@ from equimus_ctrl.models.model import Model, nominal_model
 from equimus_ctrl.options import ExportOptions, with_changes
 from equimus_ctrl.robots.elastic.morphology import Morphology, Phase
 from equimus_ctrl.robots.mjcf.export import copy_numbers, exported, fill_keyframes, finish, with_comment
-from equimus_ctrl.types import Array
 from equimus_ctrl.shown import Short
+from equimus_ctrl.types import Array
 
 STEPS = (2e-3, 1e-3, 5e-4, 2e-4, 1e-4, 5e-5, 2e-5)
 """Physics steps of files of robots with elastic actuators, of few digits: the longest that follows a robot's motion and

@@ -17,6 +17,7 @@ from equimus_ctrl.engines.base import EngineName
 from equimus_ctrl.engines.choice import engine_for
 from equimus_ctrl.engines.predict import FREE, ZERO, check_columns
 from equimus_ctrl.errors import ConfigError, unknown_name
+from equimus_ctrl.identification import sensitivity as sensitivities
 from equimus_ctrl.identification.channels import unused, with_channels
 from equimus_ctrl.identification.crosscheck import cross_check
 from equimus_ctrl.identification.fit import Fit, FitSettings, fit
@@ -25,7 +26,6 @@ from equimus_ctrl.identification.parameters import FreeParameters, free_paramete
 from equimus_ctrl.identification.residuals import residuals_of
 from equimus_ctrl.identification.results import Identification, Identified, IdentifiedPoses, Judged, together
 from equimus_ctrl.identification.segments import Segment, cut
-from equimus_ctrl.identification import sensitivity as sensitivities
 from equimus_ctrl.identification.simulators import Simulator
 from equimus_ctrl.identification.statics import fit_static, pose_residuals, static_names
 from equimus_ctrl.identification.step_error import with_step_error

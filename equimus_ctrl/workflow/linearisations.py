@@ -51,8 +51,8 @@ class Linearised(Short):
         """Its size, and where its slowest and fastest poles are."""
         poles = self.poles
         return (
-            f" of {self.model.name}: {len(self.states)} states, {len(self.inputs)} inputs, {len(self.outputs)} outputs; "
-            f"poles with real parts from {poles.real.min():.4g} to {poles.real.max():.4g} 1/s"
+            f" of {self.model.name}: {len(self.states)} states, {len(self.inputs)} inputs, {len(self.outputs)} "
+            f"outputs; poles with real parts from {poles.real.min():.4g} to {poles.real.max():.4g} 1/s"
         )
 
     @property
@@ -111,13 +111,13 @@ def linearise(
 
     Args:
         model: the nominal leg by default.
-        pose: (nj,), or a position for each joint by its name; the one in which its description has it by default [rad or
-            m].
+        pose: (nj,), or a position for each joint by its name; by default the first keyframe, or the pose in which the
+            robot's description has it [rad or m].
         command: (na,) that holds it there; by default the one that does [Pa, or the unit of commands].
 
     Raises:
-        ConfigError: for a joint that there is not, one without a position, positions of another number, or where none are
-            given and the robot's description names none.
+        ConfigError: for a joint that there is not, one without a position, positions of another number, or where none
+            are given and the robot's description names none.
         NotAvailable: where no equations of motion hold the robot, or it has joints that are not measured.
         ModelError: where nothing holds the pose.
     """
@@ -146,5 +146,7 @@ def _pose(model: Model, pose: ArrayLike | Mapping[str, float] | None) -> Array:
         return np.array([pose[name] for name in joints], dtype=np.float64)
     at = np.asarray(pose, dtype=np.float64)
     if at.shape != (len(joints),):
-        raise ConfigError(f"{robot.name}: the pose has shape {at.shape}, expected ({len(joints)},): {', '.join(joints)}")
+        raise ConfigError(
+            f"{robot.name}: the pose has shape {at.shape}, expected ({len(joints)},): {', '.join(joints)}"
+        )
     return at

@@ -246,7 +246,7 @@ def exported(trials: Sequence[Recording], models: dict[str, Model]) -> list[Expo
 
 
 def export_recordings(
-    recordings: Path | str | Iterable[Path | str] | Sequence[Recording],
+    recordings: Path | str | Iterable[Path | str | Recording],
     path: Path | str,
     model: Model | None = None,
     *,

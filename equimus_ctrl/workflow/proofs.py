@@ -17,22 +17,22 @@ from equimus_ctrl.errors import ConfigError, EquimusError
 from equimus_ctrl.executors.base import Executor
 from equimus_ctrl.executors.calls import Ended
 from equimus_ctrl.frames import dataframe
+from equimus_ctrl.models.model import Model
 from equimus_ctrl.options import ProveOptions, Shard, with_changes
 from equimus_ctrl.proof import blind
 from equimus_ctrl.proof.designs import DURATION, TRIALS
 from equimus_ctrl.proof.drawing import Kind
-from equimus_ctrl.models.model import Model
 from equimus_ctrl.proof.mjcf import Experiment, require_bare_mjcf
 from equimus_ctrl.proof.scoring import Score, score
 from equimus_ctrl.proof.seal import seal_of_all
 from equimus_ctrl.proof.store import Request, make_cases, open_truth, recorded
 from equimus_ctrl.recordings.folders import read_text, write_text
+from equimus_ctrl.shown import Short
 from equimus_ctrl.types import Array, Recording
 from equimus_ctrl.workflow.plugins import load_plugins, plugins_digest
 from equimus_ctrl.workflow.proof_shards import merge_shards, note_shard, shard_name
 from equimus_ctrl.workflow.scores import gather
 from equimus_ctrl.workflow.where import where_of
-from equimus_ctrl.shown import Short
 
 if TYPE_CHECKING:
     from pandas import DataFrame

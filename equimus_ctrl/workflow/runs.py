@@ -27,8 +27,8 @@ from equimus_ctrl.scenarios.registry import SCENARIOS, ScenarioEntry, first_para
 from equimus_ctrl.scenarios.scenario import Scenario, ScenarioContext
 from equimus_ctrl.scenarios.scoring import Score, score_run
 from equimus_ctrl.settings import both
-from equimus_ctrl.types import Controller, Counts, CountsInstants, Ends, KnowsContacts, Plant, Recording, Run
 from equimus_ctrl.shown import Short, by_name
+from equimus_ctrl.types import Controller, Counts, CountsInstants, Ends, KnowsContacts, Plant, Recording, Run
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -178,8 +178,8 @@ class ScenarioRun(Short):
         error = by_name(spec.joints, score.tracking.rmse)
         units = " or ".join(dict.fromkeys(spec.joint_units))
         return (
-            f" {self.scenario.name} by {self.controller} on {self.model.name} ({self.plant}), {self.run.time[-1]:.4g} s: "
-            f"tracking RMSE {error} {units}, saturated {100 * score.saturated:.3g} %"
+            f" {self.scenario.name} by {self.controller} on {self.model.name} ({self.plant}), "
+            f"{self.run.time[-1]:.4g} s: tracking RMSE {error} {units}, saturated {100 * score.saturated:.3g} %"
         )
 
     def to_dataframe(self) -> DataFrame:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -15,8 +15,8 @@ from equimus_ctrl.engines.predict import check_columns, predict
 from equimus_ctrl.errors import ConfigError, SimulationDiverged
 from equimus_ctrl.frames import dataframe
 from equimus_ctrl.identification.estimates import TrialResiduals
-from equimus_ctrl.identification.results import small_units
 from equimus_ctrl.identification.residuals import followed
+from equimus_ctrl.identification.results import small_units
 from equimus_ctrl.identification.segments import LEAST_SAMPLES, cut
 from equimus_ctrl.identification.simulators import Simulator
 from equimus_ctrl.models.augmented import unknown_starts
@@ -25,9 +25,9 @@ from equimus_ctrl.options import ScoreOptions, with_changes
 from equimus_ctrl.options.score import StartName
 from equimus_ctrl.recordings import Mapping, read_set
 from equimus_ctrl.scenarios.scoring import on_grid
+from equimus_ctrl.shown import Short, by_name, counted
 from equimus_ctrl.types import Array, Recording
 from equimus_ctrl.workflow.mjcf import as_modelled, mapping_of, read_trials
-from equimus_ctrl.shown import Short, by_name, counted
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -106,9 +106,7 @@ class RecordingsScore(Short):
         """Measured − predicted with times, of each trial, all its rows."""
         robot = self.model.robot
         return tuple(
-            TrialResiduals(
-                own.recording.name, own.recording.time, own.residuals, robot.joint_names, robot.joint_units
-            )
+            TrialResiduals(own.recording.name, own.recording.time, own.residuals, robot.joint_names, robot.joint_units)
             for own in self.trials
         )
 
@@ -142,7 +140,7 @@ class RecordingsScore(Short):
 
 
 def gather(
-    recordings: Path | str | Iterable[Path | str] | Sequence[Recording],
+    recordings: Path | str | Iterable[Path | str | Recording],
     model: Model | None = None,
     mapping: Mapping | Path | str | None = None,
 ) -> list[Recording]:
@@ -166,7 +164,7 @@ def gather(
 
 
 def score(
-    recordings: Path | str | Iterable[Path | str] | Sequence[Recording],
+    recordings: Path | str | Iterable[Path | str | Recording],
     model: Model | None = None,
     options: ScoreOptions | None = None,
     *,

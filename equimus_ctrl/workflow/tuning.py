@@ -17,6 +17,7 @@ from equimus_ctrl.frames import dataframe
 from equimus_ctrl.models.model import Model, nominal_model
 from equimus_ctrl.options import AutotuneOptions, with_changes
 from equimus_ctrl.recordings import locate
+from equimus_ctrl.shown import Short
 from equimus_ctrl.tuning import journal
 from equimus_ctrl.tuning.result import TuningResult
 from equimus_ctrl.tuning.search import Trial
@@ -25,7 +26,6 @@ from equimus_ctrl.types import Controller
 from equimus_ctrl.workflow.plugins import load_plugins, loaded
 from equimus_ctrl.workflow.runs import load_scenario, own_settings
 from equimus_ctrl.workflow.where import where_of
-from equimus_ctrl.shown import Short
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -213,7 +213,7 @@ def tune_into(
     notify: Callable[[Trial], None] = lambda trial: None,
     **changes: Any,
 ) -> TunedFiles:
-    """``tune``, with results where ``autotune`` puts them: settings in ``controllers/``, the rest in ``tuning/results``.
+    """``tune``, with its results written: settings in ``controllers/``, record and journal in ``tuning/results``.
 
     Args:
         controller: see ``tune``.
