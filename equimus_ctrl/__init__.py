@@ -15,13 +15,12 @@ Ten things to begin with (``import equimus_ctrl as eq``):
 >>> diagnosis.corrected  # the augmented model, for all of these
 <Model pendulum: 1 joint (hinge), 1 actuator (motor), 1 effect (... at hinge)>
 >>> eq.run_scenario("hold", "pid")  # a controller in closed loop, scored
-<ScenarioRun hold by pid on equimus_leg (mujoco), ...: tracking RMSE hip ..., knee ... rad, ...>
->>> eq.linearise(model).poles  # A, B, C for python-control
-array(...)
->>> eq.figure(diagnosis, "residuals")  # matplotlib, nothing shown or written
-<Figure size ...>
->>> found.to_dataframe()  # pandas; .to_dict() for JSON
-                value ...
+<ScenarioRun hold by pid on nominal_leg (mujoco), ...: tracking RMSE hip ..., knee ... rad, saturated ... %>
+>>> eq.linearise(model)  # A, B, C and poles; .system for python-control
+<Linearised of pendulum: 2 states, 1 input, 1 output; poles with real parts from ... to ... 1/s>
+>>> eq.figure(diagnosis, "residuals")  # matplotlib; nothing is shown or written
+<Figure size ... with ... Axes>
+>>> table = found.to_dataframe()  # pandas; .to_dict() for JSON
 
 ``eq.tune``, ``eq.compare``, ``eq.sensitivity``, ``eq.validate`` and ``eq.prove`` are the other verbs of the command
 ``equimus-ctrl``. Results are frozen and show themselves in a line; nothing is written unless a place is named.

@@ -178,6 +178,8 @@ from .workflow import (
     validate as validate,
     write_recording as write_recording,
     write_recordings as write_recordings,
+    write_report as write_report,
+    write_video as write_video,
 )
 
 __version__: str

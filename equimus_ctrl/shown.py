@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import fields, is_dataclass
+from pathlib import PurePath
 from typing import Any
 
 import numpy as np
@@ -41,7 +42,8 @@ def brief(value: Any) -> str:
         return f"[{', '.join(f'{own:.4g}' for own in value)}]" if small else f"{value.shape} array"
     if isinstance(value, float):
         return f"{value:.6g}"
-    if isinstance(value, str):
+    if isinstance(value, str | PurePath):
+        value = str(value)
         return repr(value if len(value) <= 60 else f"{value[:59]}…")
     if isinstance(value, list | tuple) and len(value) <= MOST_LISTED and all(isinstance(own, str) for own in value):
         return f"({', '.join(value)})"

@@ -272,8 +272,10 @@ def test_each_goal_is_met_and_missed(name: str) -> None:
         if name == "error" and wrong == 214:
             state = "open"  # a median of 400 numbers, 186 of them right, tells nothing
         assert goal.state == state
-        assert found.accurate or wrong
-    assert name == "seconds" or not found.accurate
+        # Of so many alike, whose intervals all hold, these are known to be too wide.
+        missed = {g.name for g in found.goals if g.judged and g.state == "missed"} - {"coverage", "own_coverage"}
+        assert not missed or wrong
+    assert name == "seconds" or (missed and not found.accurate)
 
 
 def test_held_out_error_and_coverage_are_goals_too() -> None:

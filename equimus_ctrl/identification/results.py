@@ -94,7 +94,7 @@ class Identified(Short):
         found, joints = self.fit, self.fit.model.robot.joint_names
         before, after = (by_name(joints, 1e3 * rmse) for rmse in (found.rmse_before, found.rmse))
         return (
-            f" {listed(found.parameters.names, 'parameter')} of {found.model.name} from "
+            f" of {listed(found.parameters.names, 'parameter')} of {found.model.name} from "
             f"{counted(len(self.recordings), 'trial')}: RMSE {before} → {after} {small_units(found.model.robot)}"
         )
 
@@ -299,7 +299,7 @@ class IdentifiedPoses(Short):
         found, joints = self.fit, self.fit.model.robot.joint_names
         before, after = (by_name(joints, 1e3 * joint_rmse([own])) for own in (found.before, found.residuals))
         return (
-            f" {listed(found.parameters.names, 'parameter')} of {found.model.name} from "
+            f" of {listed(found.parameters.names, 'parameter')} of {found.model.name} from "
             f"{counted(len(self.poses.pressure), 'pose')} at rest: RMSE {before} → {after} mrad"
         )
 

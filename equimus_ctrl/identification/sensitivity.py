@@ -16,7 +16,7 @@ from equimus_ctrl.identification.parameters import default_bounds, matching, uni
 from equimus_ctrl.identification.segments import Segment
 from equimus_ctrl.identification.simulators import Simulator, simulator_for
 from equimus_ctrl.models.model import Model
-from equimus_ctrl.shown import Short
+from equimus_ctrl.shown import Short, counted
 from equimus_ctrl.types import Array
 
 if TYPE_CHECKING:
@@ -59,7 +59,7 @@ class Sensitivity(Short):
 
     def told(self) -> str:
         """The parameters that matter most."""
-        return f" of {self.model.name} to {len(self.names)} parameters: most to {', '.join(self.names[:3])}"
+        return f" of {self.model.name} to {counted(len(self.names), 'parameter')}: most to {', '.join(self.names[:3])}"
 
     def to_dataframe(self) -> DataFrame:
         """A row for each parameter, the most sensitive first: what 1 % of it changes in each joint [rad or m].

@@ -53,6 +53,7 @@ from .models import (
 )
 from .plugins import load_plugins as load_plugins
 from .proofs import Proof as Proof, prove as prove
+from .reports import write_report as write_report, write_video as write_video
 from .runs import (
     ScenarioRun as ScenarioRun,
     load_controller as load_controller,

@@ -75,6 +75,11 @@ class Export(Short):
     left_out: tuple[Effect, ...]
     ignored: tuple[str, ...]
 
+    def told(self) -> str:
+        """Of what, and where."""
+        out = f", without {', '.join(_label(own) for own in self.left_out)}" if self.left_out else ""
+        return f" of {self.model.name} to {self.path}{out}"
+
     def to_dict(self) -> dict[str, Any]:
         """What ``export --json`` prints."""
         return {

@@ -13,7 +13,7 @@ from equimus_ctrl.errors import ConfigError, unknown_name
 from equimus_ctrl.frames import dataframe
 from equimus_ctrl.models import linear
 from equimus_ctrl.models.model import Model, nominal_model
-from equimus_ctrl.shown import Short
+from equimus_ctrl.shown import Short, counted
 from equimus_ctrl.types import Array, frozen_array
 
 if TYPE_CHECKING:
@@ -49,10 +49,11 @@ class Linearised(Short):
 
     def told(self) -> str:
         """Its size, and where its slowest and fastest poles are."""
-        poles = self.poles
+        real = self.poles.real
+        sizes = (counted(len(own), noun) for own, noun in ((self.states, "state"), (self.inputs, "input")))
         return (
-            f" of {self.model.name}: {len(self.states)} states, {len(self.inputs)} inputs, {len(self.outputs)} "
-            f"outputs; poles with real parts from {poles.real.min():.4g} to {poles.real.max():.4g} 1/s"
+            f" of {self.model.name}: {', '.join(sizes)}, {counted(len(self.outputs), 'output')}; poles with real parts "
+            f"from {real.min():.4g} to {real.max():.4g} 1/s"
         )
 
     @property
