@@ -16,14 +16,17 @@ Ten things to begin with (``import equimus_ctrl as eq``):
 <Model pendulum: 1 joint (hinge), 1 actuator (motor), 1 effect (... at hinge)>
 >>> eq.run_scenario("hold", "pid")  # a controller in closed loop, scored
 <ScenarioRun hold by pid on nominal_leg (mujoco), ...: tracking RMSE hip ..., knee ... rad, saturated ... %>
+>>> eq.sensitivity(trials, model)  # which parameters matter to its predictions
+<Sensitivity of pendulum to ... parameters: most to ...>
 >>> eq.linearise(model)  # A, B, C and poles; .system for python-control
 <Linearised of pendulum: 2 states, 1 input, 1 output; poles with real parts from ... to ... 1/s>
 >>> eq.figure(diagnosis, "residuals")  # matplotlib; nothing is shown or written
 <Figure size ... with ... Axes>
 >>> table = found.to_dataframe()  # pandas; .to_dict() for JSON
 
-``eq.tune``, ``eq.compare``, ``eq.sensitivity``, ``eq.validate`` and ``eq.prove`` are the other verbs of the command
-``equimus-ctrl``. Results are frozen and show themselves in a line; nothing is written unless a place is named.
+Other verbs of the command ``equimus-ctrl``: ``eq.tune``, ``eq.compare``, ``eq.validate``, ``eq.prove``,
+``eq.export_model``, ``eq.list_names``. Results are frozen and show themselves in a line. Files are written where a
+place is named and nowhere else; what is there already is replaced with ``force=True`` alone.
 """
 
 from typing import Any

@@ -174,6 +174,10 @@ def triangle(sheet: Sheet, limits: Limits = LEG) -> tuple[Recording, ...]:
 def read_static_poses(path: PathLike, *, limits: Limits = LEG) -> StaticPoses:
     """Read ``P1 (kPa),P2 (kPa),theta1 (deg),theta2 (deg)``: pressures against the pose at rest.
 
+    Args:
+        path: of the file.
+        limits: what may stand in it.
+
     Raises:
         RecordingError: a column is missing; a number is wrong; a pressure is outside the range; angles look like
             radians.

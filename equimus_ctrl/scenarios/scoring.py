@@ -168,6 +168,10 @@ def on_grid(time: Array, values: Array, grid: Array) -> Array:
 def score_run(run: Run, scenario: Scenario) -> Score:
     """Score a run over the scenario's window, on its grid.
 
+    Args:
+        run: what happened.
+        scenario: what was to be done.
+
     Raises:
         ConfigError: where the window holds no sample.
     """
