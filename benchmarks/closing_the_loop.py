@@ -46,7 +46,7 @@ from equimus_ctrl.recordings.sets import read_set
 from equimus_ctrl.report import style
 from equimus_ctrl.scenarios.references import SampledReference, foot_path
 from equimus_ctrl.types import Array, Observation, Reference, Start
-from equimus_ctrl.workflow import load_model, save_model, tune_pid
+from equimus_ctrl.workflow import load_model, save_model, tune_into
 
 ROOT = Path(__file__).resolve().parents[1]
 KINDS = ("single", "pair")
@@ -128,7 +128,8 @@ def tuned(model: Model, folder: Path, name: str, options: argparse.Namespace) ->
     """Gains from the command's own study, as the command finds them; searched once."""
     path = folder / f"{name}_pid.toml"
     if not path.exists():
-        tune_pid(
+        tune_into(
+            "pid",
             options.output / "study.toml",
             model=model,
             candidates=options.budget,

@@ -29,7 +29,7 @@ from equimus_ctrl.executors.base import Executor
 from equimus_ctrl.executors.on_slurm import slurm_settings
 from equimus_ctrl.executors.where import Where
 from equimus_ctrl.proof.designs import DURATION, SAMPLE_RATE, TRIALS
-from equimus_ctrl.workflow.prove import put_to_proof
+from equimus_ctrl.workflow.proofs import prove
 
 WORKERS = 2
 SMALL = {"kind": "none", "trials": 2, "duration": 3.0, "baselines": False, "seed": 20261201}
@@ -100,7 +100,7 @@ def killing(address: str, every: float | None) -> Iterator[list[int]]:
 def proven(folder: Path, cases: int, **where: object) -> tuple[dict, dict[str, float]]:
     """The record of a proof, and what it took."""
     wall, cpu = time.perf_counter(), spent()
-    found = put_to_proof(folder, cases=cases, **SMALL, **where)  # type: ignore[arg-type]
+    found = prove(folder, cases=cases, **SMALL, **where)  # type: ignore[arg-type]
     record = found.to_dict()
     of_cases = [json.loads(found.request.report(k).read_text())["proof"] for k in range(cases)]
     diagnosing = {f"diagnosing_{key}": sum(own[key] for own in of_cases) for key in ("seconds", "cpu_seconds")}

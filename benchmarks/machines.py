@@ -126,7 +126,7 @@ def main() -> None:
         begun, cpu = time.perf_counter(), time.process_time()
         model = Model(workflow.load_mjcf(xml))
         free = ["base_parameters", *(n for n in model.parameters() if n.endswith(".damping"))]
-        found = workflow.diagnose_recordings(trials, model, free=free)
+        found = workflow.diagnose(trials, model, free=free)
         seconds, cpu = time.perf_counter() - begun, time.process_time() - cpu
         named = [f"{f.named.effect} at {'+'.join(f.named.locations)}" for f in found.findings]
         numbers = [{k: e.to_dict() for k, e in f.parameters.items()} for f in found.findings]

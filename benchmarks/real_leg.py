@@ -63,7 +63,7 @@ def diagnosed(folder: Path | None, most: int = MOST, seed: int | None = None, bu
         rng = np.random.default_rng(seed)
         held = [steps[k] for k in sorted(rng.permutation(len(steps))[: len(held)])]
         until = float(np.round(rng.uniform(*BETWEEN), 1))
-    return workflow.diagnose_recordings(
+    return workflow.diagnose(
         [*read_set(triangle), *steps],
         validation=[trial.name for trial in held],
         until=until,

@@ -93,7 +93,7 @@ def diagnosed(joints: int, units: Units, seed: int, most: int) -> Diagnosis:
             own = robot.with_parameters({mass: robot.parameters()[mass] * (units.mass if k else 1.0)})
             effects = (CoulombFriction(joint, friction),) if friction else ()
             record(Model(own, effects), folder, 10 * seed + k)
-        return workflow.diagnose_recordings(folders, Model(robot), by="folder", most=most)
+        return workflow.diagnose(folders, Model(robot), by="folder", most=most)
 
 
 def main(arguments: Sequence[str] | None = None) -> None:

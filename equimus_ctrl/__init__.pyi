@@ -98,7 +98,12 @@ from .plants.registry import (
     register_plant as register_plant,
 )
 from .plants.replay import ReplayPlant as ReplayPlant
-from .recordings import Mapping as Mapping, read_mapping as read_mapping, write_recording as write_recording
+from .recordings import (
+    Mapping as Mapping,
+    StaticPoses as StaticPoses,
+    read_mapping as read_mapping,
+    read_static_poses as read_static_poses,
+)
 from .robots.base import Robot as Robot, RobotTraits as RobotTraits
 from .robots.elastic.leg import ideal_leg as ideal_leg, nominal_leg as nominal_leg
 from .robots.elastic.morphology import (
@@ -141,21 +146,40 @@ from .types import (
     Run as Run,
     Start as Start,
 )
+from .identification.estimates import Covariance as Covariance, TrialResiduals as TrialResiduals
 from .workflow import (
     check as check,
+    check_hardware as check_hardware,
+    check_recordings as check_recordings,
     compare as compare,
-    diagnose_recordings as diagnose_recordings,
+    diagnose as diagnose,
     export_model as export_model,
     export_recordings as export_recordings,
+    fetch_recordings as fetch_recordings,
+    figure as figure,
+    figures as figures,
+    identify as identify,
     identify_poses as identify_poses,
     identify_recordings as identify_recordings,
-    load_plugins as load_plugins,
-    read_recording as read_recording,
+    linearise as linearise,
+    list_names as list_names,
+    load_hardware as load_hardware,
     load_model as load_model,
+    load_plugins as load_plugins,
+    measure_delay as measure_delay,
+    prove as prove,
+    read_recording as read_recording,
+    read_recordings as read_recordings,
     run_scenario as run_scenario,
     save_model as save_model,
-    score_recordings as score_recordings,
-    sensitivity_of as sensitivity_of,
+    score as score,
+    sensitivity as sensitivity,
+    tune as tune,
+    validate as validate,
+    write_recording as write_recording,
+    write_recordings as write_recordings,
+    write_report as write_report,
+    write_video as write_video,
 )
 
 __version__: str

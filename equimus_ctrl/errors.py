@@ -86,3 +86,10 @@ def unknown_name(kind: str, name: str, known: Iterable[str], where: str = "") ->
     names = sorted(known)
     place = f"{where}: " if where else ""
     return f"{place}there is no {kind} {name!r}{nearest(name, names)} (known: {', '.join(names) or 'none'})"
+
+
+def needs(package: str, extra: str, what: str) -> NotAvailable:
+    """The error where a library is not installed."""
+    return NotAvailable(
+        f"{what} needs the {package} library, which is not installed; get it with: pip install 'equimus-ctrl[{extra}]'"
+    )

@@ -5,14 +5,19 @@ Units are SI throughout: seconds, radians, pascals, metres. Arrays held by these
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Literal, Protocol, runtime_checkable
+from typing import TYPE_CHECKING, Any, Literal, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from equimus_ctrl.errors import ConfigError
+from equimus_ctrl.frames import dataframe
+from equimus_ctrl.shown import Short, listed
+
+if TYPE_CHECKING:
+    from pandas import DataFrame
 
 Array = NDArray[np.float64]
 Sense = Literal["velocities", "torques"]
@@ -28,8 +33,13 @@ def frozen_array(values: ArrayLike, ndim: int | None = None, name: str = "array"
     return array
 
 
-@dataclass(frozen=True, eq=False)
-class PrescribedMotion:
+def _columns(parts: Iterable[tuple[str, Sequence[str], Array]]) -> dict[str, Array]:
+    """Kind, names and values (n, k) of each part → ``kind.name`` → (n,)."""
+    return {f"{kind}.{name}": values[:, k] for kind, names, values in parts for k, name in enumerate(names)}
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class PrescribedMotion(Short):
     """How joints move whose motion is an input, taken as it was measured: cubic splines with knots at some instants.
 
     Accelerations are linear between the instants, so positions and rates there say all.
@@ -73,8 +83,8 @@ class PrescribedMotion:
         return q + s * (v + s * (a / 2 + s * jerk / 6)), v + s * (a + s * jerk / 2), a + s * jerk
 
 
-@dataclass(frozen=True, eq=False)
-class Recording:
+@dataclass(frozen=True, eq=False, repr=False)
+class Recording(Short):
     """One trial: commands in force and angles measured, row by row.
 
     A command holds from its row until the next one (zero-order hold), or goes along a line to it where a note says
@@ -134,6 +144,24 @@ class Recording:
             if array is not None and array.shape != shape:
                 raise ConfigError(f"{self.name}: {key} has shape {array.shape}, expected {shape}")
 
+    def told(self) -> str:
+        """Length, joints and actuators."""
+        lasts = float(self.time[-1] - self.time[0]) if len(self.time) else 0.0
+        named = f"{listed(self.joints, 'joint')}, {listed(self.actuators, 'actuator')}"
+        return f" {self.name!r}: {len(self.time)} rows over {lasts:.6g} s, {named}"
+
+    def to_dataframe(self) -> DataFrame:
+        """A row for each sample by its ``time`` [s], columns as in a recording's file: ``cmd.maa``, ``pos.hip``.
+
+        Raises:
+            NotAvailable: where pandas is not installed.
+        """
+        parts = [("cmd", self.actuators, self.command), ("pos", self.joints, self.position)]
+        for kind, names, values in (("vel", self.joints, self.velocity), ("meas", self.actuators, self.measured)):
+            parts += [] if values is None else [(kind, names, values)]
+        sites = {f"site.{name}": values for name, values in self.sites.items()}
+        return dataframe({"time": self.time, **_columns(parts), **sites}, "time")
+
     @property
     def poses(self) -> Array:
         """(n, nj + np + nu) measured positions, behind them those of prescribed and of unmeasured joints."""
@@ -158,8 +186,8 @@ class Recording:
         return self.notes.get("interpolation") == "linear"
 
 
-@dataclass(frozen=True, eq=False)
-class PlantSpec:
+@dataclass(frozen=True, eq=False, repr=False)
+class PlantSpec(Short):
     """What a controller may know of the plant it drives.
 
     Attributes:
@@ -205,8 +233,8 @@ class PlantSpec:
         object.__setattr__(self, "command_rate", frozen_array(rate, 1, "command rate"))
 
 
-@dataclass(frozen=True, eq=False)
-class Observation:
+@dataclass(frozen=True, eq=False, repr=False)
+class Observation(Short):
     """What the sensors and the command interface give at one control instant.
 
     Attributes:
@@ -229,8 +257,8 @@ class Observation:
     torque: Array | None = None
 
 
-@dataclass(frozen=True, eq=False)
-class Start:
+@dataclass(frozen=True, eq=False, repr=False)
+class Start(Short):
     """Where a run begins: at rest, the command having been in force long enough for the pressures to have settled.
 
     Attributes:
@@ -249,8 +277,8 @@ class Start:
                 object.__setattr__(self, key, frozen_array(getattr(self, key), 1, f"start {key}"))
 
 
-@dataclass(frozen=True, eq=False)
-class Run:
+@dataclass(frozen=True, eq=False, repr=False)
+class Run(Short):
     """What happened in one run, one row a control instant.
 
     Attributes:
@@ -280,6 +308,32 @@ class Run:
     truth: Array | None = None
     status: tuple[str, ...] = ()
     note: str = ""
+
+    def told(self) -> str:
+        """Length, joints and actuators."""
+        lasts = float(self.time[-1]) if len(self.time) else 0.0
+        named = f"{listed(self.spec.joints, 'joint')}, {listed(self.spec.actuators, 'actuator')}"
+        return f": {len(self.time)} control instants over {lasts:.6g} s, {named}"
+
+    @property
+    def columns(self) -> dict[str, Array]:
+        """Column → values (n,), SI.
+
+        They are ``time``, ``cmd.*`` as applied, ``pos.*`` as measured, ``ref.*``, ``true.*`` where the plant knows
+        them, and ``asked.*`` as the controller had it.
+        """
+        joints, actuators = self.spec.joints, self.spec.actuators
+        parts = [("cmd", actuators, self.command), ("pos", joints, self.position), ("ref", joints, self.reference)]
+        parts += [] if self.truth is None else [("true", joints, self.truth)]
+        return {"time": self.time, **_columns([*parts, ("asked", actuators, self.asked)])}
+
+    def to_dataframe(self) -> DataFrame:
+        """A row for each control instant by its ``time`` [s], of ``columns``.
+
+        Raises:
+            NotAvailable: where pandas is not installed.
+        """
+        return dataframe(self.columns, "time")
 
     def recording(self, name: str, notes: Mapping[str, str] | None = None) -> Recording:
         """The run in the recording vocabulary."""

@@ -444,7 +444,7 @@ class Command:
 def uninterrupted(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
     folder = tmp_path_factory.mktemp("uninterrupted")
     presets.write_text(folder / "study.toml", presets.toml_text(LONG))
-    tuned = workflow.tune_pid(folder / "study.toml", output=folder / "pid.toml", folder=folder)
+    tuned = workflow.tune_into("pid", folder / "study.toml", output=folder / "pid.toml", folder=folder)
     found: dict[str, Any] = json.loads(tuned.record.read_text())
     return found
 

@@ -30,7 +30,7 @@ def test_a_cluster_gives_the_same_settings_to_the_bit(controller: str, tmp_path:
 
     def tuned(name: str, **where: Any) -> Path:
         folder = tmp_path / name
-        workflow.autotune(controller, folder=folder, output=folder / "tuned.toml", **options, **where)
+        workflow.tune_into(controller, folder=folder, output=folder / "tuned.toml", **options, **where)
         return folder
 
     own = distributed.LocalCluster(n_workers=2, threads_per_worker=1, processes=True, dashboard_address=":0")

@@ -227,7 +227,7 @@ def test_channels_beside_zeros_and_shooting_intervals_are_those_of_their_rows() 
 @pytest.mark.slow
 def test_a_diagnosis_by_rates_names_the_friction_that_poor_angles_hide() -> None:
     recorded = trials(0.08, 4e-3, damping=0.01, count=4)
-    found = workflow.diagnose_recordings(recorded, Model(ARM), free=["arm.mass"], also=["vel.*"], most=1, threads=1)
+    found = workflow.diagnose(recorded, Model(ARM), free=["arm.mass"], also=["vel.*"], most=1, threads=1)
     assert [(f.named.effect, f.named.locations) for f in found.findings] == [("viscous_friction", ("hinge",))]
     estimate = found.findings[0].parameters["damping"]
     assert estimate.low < 0.01 < estimate.high and estimate.high - estimate.low < 0.004

@@ -32,7 +32,7 @@ from equimus_ctrl.preflight.information import EffectInformation
 from equimus_ctrl.report.check_text import effect_rows, headline, print_check
 from equimus_ctrl.robots.mjcf.robot import MjcfRobot
 from equimus_ctrl.types import Recording
-from equimus_ctrl.workflow.check import Check
+from equimus_ctrl.workflow.checks import Check
 from equimus_ctrl.workflow.prepared import prepared, read_given
 
 ROBOT = MjcfRobot("arm", PENDULUM.format(drive=MOTOR))
@@ -187,7 +187,7 @@ def spoilt(name: str) -> list[Recording]:
 @pytest.mark.parametrize(("name", "said"), [("noise alone", "noise"), ("coarse", "steps"), ("still", "never moves")])
 def test_a_diagnosis_stops_where_an_answer_would_mean_nothing(name: str, said: str) -> None:
     with pytest.raises(ConfigError, match=f"{said}.*--anyway goes on all the same"):
-        eq.diagnose_recordings(spoilt(name), MODEL)
+        eq.diagnose(spoilt(name), MODEL)
     found = workflow.check(spoilt(name), MODEL, quick=True)
     assert found.stops and found.findings[0].severity == "stop"
     assert "a diagnosis would mean nothing" in headline(found)

@@ -18,7 +18,7 @@ LISTED = ("cli", "options", "workflow", "diagnosis", "identification", "engines"
 
 
 def is_diagnosis(module: str) -> bool:
-    return module.startswith(("diagnosis.", "report.diagnosis_")) or module in ("cli.diagnose", "workflow.diagnose")
+    return module.startswith(("diagnosis.", "report.diagnosis_")) or module in ("cli.diagnose", "workflow.diagnoses")
 
 
 def file_of(module: str) -> str:

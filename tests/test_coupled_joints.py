@@ -194,7 +194,7 @@ def test_in_the_torque_domain_it_is_the_force_that_is_missing(effect: Effect, te
 @pytest.mark.parametrize(("effect", "tendon"), CASES, ids=NAMES)
 def test_a_diagnosis_names_it_with_its_size(effect: Effect, tendon: str) -> None:
     """Recordings by MuJoCo alone."""
-    found = workflow.diagnose_recordings(recorded_alone(4, 3, tendons=tendon), Model(ARM_OF_HINGES), most=1)
+    found = workflow.diagnose(recorded_alone(4, 3, tendons=tendon), Model(ARM_OF_HINGES), most=1)
     assert [(f.named.effect, f.named.locations) for f in found.findings] == [(effect.name, ("shoulder",))]
     key, size = next(iter(effect.parameters().items()))
     assert found.findings[0].parameters[key].value == pytest.approx(size, rel=0.02)
@@ -202,4 +202,4 @@ def test_a_diagnosis_names_it_with_its_size(effect: Effect, tendon: str) -> None
 
 @pytest.mark.slow
 def test_a_diagnosis_names_nothing_where_nothing_couples() -> None:
-    assert workflow.diagnose_recordings(recorded_alone(4, 5), Model(ARM_OF_HINGES), most=1).findings == ()
+    assert workflow.diagnose(recorded_alone(4, 5), Model(ARM_OF_HINGES), most=1).findings == ()

@@ -12,6 +12,7 @@ from typing import Any
 import pytest
 from pendulum_runs import MOTOR, PENDULUM, recorded
 
+from equimus_ctrl import workflow
 from equimus_ctrl.cli.main import main
 from equimus_ctrl.diagnosis import stages
 from equimus_ctrl.diagnosis.budget import BudgetSpent
@@ -29,7 +30,6 @@ from equimus_ctrl.models.model import Model
 from equimus_ctrl.recordings.csvfile import write
 from equimus_ctrl.report.diagnosis_text import verdict
 from equimus_ctrl.robots.mjcf.robot import MjcfRobot
-from equimus_ctrl.workflow.diagnose import diagnose_recordings
 
 NOMINAL = Model(MjcfRobot("robot", PENDULUM.format(drive=MOTOR)))
 
@@ -164,7 +164,7 @@ def test_between_two_questions_whether_to_end_lie_few_simulations(
 def test_a_budget_begins_before_anything_is_simulated(monkeypatch: pytest.MonkeyPatch) -> None:
     counts = simulations(monkeypatch)
     with pytest.raises(ConfigError, match=r"the budget of 1e-09 s ended before the model was refitted once"):
-        diagnose_recordings(recorded(NOMINAL, seed=7), NOMINAL, budget=1e-9)
+        workflow.diagnose(recorded(NOMINAL, seed=7), NOMINAL, budget=1e-9)
     assert not counts
 
 

@@ -282,16 +282,16 @@ def test_trials_go_by_their_folders(tmp_path: Path) -> None:
 
 def test_groups_that_cannot_be_are_refused(tmp_path: Path) -> None:
     one, two = folders(tmp_path, {"A": 0.6, "B": 0.6}, count=1)
-    single = refusal(lambda: workflow.diagnose_recordings([one], MODEL, by="folder"))
+    single = refusal(lambda: workflow.diagnose([one], MODEL, by="folder"))
     assert single == "trials are grouped by folder, but all of them are in A; expected those of two folders or more"
-    few = refusal(lambda: workflow.diagnose_recordings([one, two], MODEL, by="folder"))
+    few = refusal(lambda: workflow.diagnose([one, two], MODEL, by="folder"))
     assert few.startswith("A has one trial, expected at least 2 in each folder")
-    selected = refusal(lambda: workflow.diagnose_recordings([one, two], MODEL, by="folder", select=["A_*"]))
+    selected = refusal(lambda: workflow.diagnose([one, two], MODEL, by="folder", select=["A_*"]))
     assert selected == "all trials selected are in A; expected some of two folders or more"
     trial = recorded(MODEL, count=1, seconds=1.0, dt=None)
-    assert "not given as files" in refusal(lambda: workflow.diagnose_recordings(trial, MODEL, by="folder"))
+    assert "not given as files" in refusal(lambda: workflow.diagnose(trial, MODEL, by="folder"))
     check_enough(["A", "B"], eq.DiagnoseOptions(until=0.7))
-    held_out = refusal(lambda: workflow.diagnose_recordings([one, two], MODEL, by="folder", validation=["B_*"]))
+    held_out = refusal(lambda: workflow.diagnose([one, two], MODEL, by="folder", validation=["B_*"]))
     assert held_out == "all trials of B are held out; expected one at least that is fitted"
 
 

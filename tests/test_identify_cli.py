@@ -313,7 +313,7 @@ def test_a_model_that_diverges(refused: Any, data: Path, tmp_path: Path) -> None
         assert code == 3 and said in err and "diverges" in err
 
 
-@pytest.mark.parametrize("where", ["identify_files", "figures"])
+@pytest.mark.parametrize("where", ["identify", "figures"])
 def test_ctrl_c_writes_nothing(
     where: str, ran: Any, data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -12,7 +12,8 @@ import pytest
 ROOT = Path(__file__).resolve().parents[1] / "equimus_ctrl"
 
 ORDER: tuple[tuple[str, ...], ...] = (
-    ("errors", "computer"),
+    ("errors", "computer", "shown"),
+    ("frames",),
     ("executors",),
     ("types", "settings", "registry", "quiet"),
     ("presets",),

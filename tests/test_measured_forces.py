@@ -180,11 +180,9 @@ def test_a_measured_torque_tells_mass_and_gain_apart() -> None:
 @pytest.mark.slow
 def test_a_diagnosis_by_measured_torques_names_the_gain_and_finds_the_mass() -> None:
     with pytest.warns(RecordingWarning):
-        blind = workflow.diagnose_recordings(list(measured()), Model(SERVO), free=ALL[:3], most=1, threads=1)
+        blind = workflow.diagnose(list(measured()), Model(SERVO), free=ALL[:3], most=1, threads=1)
     assert not blind.findings and blind.best.fit.theta[0] == pytest.approx(1.2, rel=0.02)
-    found = workflow.diagnose_recordings(
-        list(measured()), Model(SERVO), free=ALL[:3], most=1, threads=1, also=["meas.*"]
-    )
+    found = workflow.diagnose(list(measured()), Model(SERVO), free=ALL[:3], most=1, threads=1, also=["meas.*"])
     assert [f.named.effect for f in found.findings] == ["actuator_gain"] and found.verdict == "explained"
     factor = found.findings[0].parameters["factor"]
     assert factor.low < 0.5 < factor.high and factor.high - factor.low < 0.005

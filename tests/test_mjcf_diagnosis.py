@@ -61,7 +61,7 @@ ROOT = Path(__file__).resolve().parents[1]
 def diagnosed(xml: str, concealed: Sequence[Effect], **given: object) -> Diagnosis:
     robot = MjcfRobot("robot", xml)
     trials = recorded(Model(robot, concealed), **given)  # type: ignore[arg-type]
-    return workflow.diagnose_recordings(trials, Model(robot), most=1)
+    return workflow.diagnose(trials, Model(robot), most=1)
 
 
 def named(found: Diagnosis) -> list[tuple[str, tuple[str, ...]]]:
@@ -90,7 +90,7 @@ def test_two_kinds_of_friction_of_one_joint_are_told_by_their_names() -> None:
     """A push over the speed could stand for both, and dry friction with more at rest for the dry one."""
     robot = MjcfRobot("robot", PENDULUM.format(drive=MOTOR))
     real = Model(robot, [CoulombFriction("hinge", 0.06), ViscousFriction("hinge", 0.04)])
-    found = workflow.diagnose_recordings(recorded(real, seed=5), Model(robot), most=2)
+    found = workflow.diagnose(recorded(real, seed=5), Model(robot), most=2)
     assert sorted(named(found)) == [("coulomb_friction", ("hinge",)), ("viscous_friction", ("hinge",))]
     sizes = {f.named.effect: value(found, k) for k, f in enumerate(found.findings)}
     assert sizes["coulomb_friction"] == pytest.approx(0.06, rel=0.05)
@@ -124,7 +124,7 @@ def test_what_slides_is_told_in_metres_and_newtons() -> None:
 def test_a_payload_shows_where_masses_are_known() -> None:
     robot = MjcfRobot("robot", PENDULUM.format(drive=MOTOR))
     trials = recorded(Model(robot, [PayloadMass("tip", 0.12)]))
-    found = workflow.diagnose_recordings(trials, Model(robot), free=["hinge.armature"], most=1)
+    found = workflow.diagnose(trials, Model(robot), free=["hinge.armature"], most=1)
     group = {(f.named.effect, f.named.locations) for f in found.findings}
     group |= {(o.effect, o.locations) for f in found.findings for o in f.equivalent}
     assert ("payload_mass", ("tip",)) in group
@@ -159,10 +159,10 @@ def stepped(dt: float) -> MjcfRobot:
 def test_the_error_of_a_long_step_is_taken_for_no_physics() -> None:
     fine, coarse = stepped(0.00002), stepped(0.01)
     trials = recorded(Model(fine), dt=None)
-    exact = workflow.diagnose_recordings(trials, Model(coarse), most=1)
+    exact = workflow.diagnose(trials, Model(coarse), most=1)
     assert exact.engine.name == "reduced" and exact.verdict == "consistent"
     assert not any("physics step" in note for note in exact.notes)
-    found = workflow.diagnose_recordings(trials, Model(coarse), most=1, engine="mujoco")
+    found = workflow.diagnose(trials, Model(coarse), most=1, engine="mujoco")
     assert found.engine.name == "mujoco" and found.verdict == "consistent" and not found.findings
     (told,) = [note for note in found.notes if "physics step of the XML, 10 ms, is too long" in note]
     assert "without that error, from simulations with 2.5 ms too" in told
@@ -174,7 +174,7 @@ def test_what_a_finer_step_fits_far_worse_stays_named() -> None:
     """Without the step, which is half a step early, no delay is needed, and none would be early enough."""
     coarse = stepped(0.01)
     trials = recorded(Model(coarse, [SensorDelay("hinge", 0.003)]), dt=None)
-    found = workflow.diagnose_recordings(trials, Model(coarse), most=1, engine="mujoco")
+    found = workflow.diagnose(trials, Model(coarse), most=1, engine="mujoco")
     group = set(named(found)) | {(o.effect, o.locations) for f in found.findings for o in f.equivalent}
     assert ("sensor_delay", ("hinge",)) in group
     assert found.rmse("corrected", "validation")[0] < 1.2 * NOISE
@@ -185,7 +185,7 @@ def test_what_fits_as_well_is_told_after_a_finer_step_too() -> None:
     """A tilt and a sensor's offset do the same to a pendulum, whatever step that was found with; so may others."""
     fine, coarse = stepped(0.00002), stepped(0.01)
     real = Model(fine, [GravityTilt("base", 0.05)])
-    found = workflow.diagnose_recordings(recorded(real, dt=None), Model(coarse), most=1, engine="mujoco")
+    found = workflow.diagnose(recorded(real, dt=None), Model(coarse), most=1, engine="mujoco")
     assert any("physics step of the XML, 10 ms, is too long" in note for note in found.notes)
     (tilt,) = found.findings
     assert {tilt.named.effect, *(e.effect for e in tilt.equivalent)} >= {"gravity_tilt", "sensor_offset"}
@@ -218,7 +218,7 @@ def test_a_limit_that_the_trial_held_out_never_reaches_is_named() -> None:
     loud, quiet = recorded(real, count=2, seed=1), recorded(real, count=1, seed=2, size=0.35)
     trials = [*loud, replace(quiet[0], name="quiet")]
     assert np.abs(quiet[0].command).max() < 0.6 < np.abs(loud[0].command).max()
-    found = workflow.diagnose_recordings(trials, Model(robot), validation=["quiet"], most=1)
+    found = workflow.diagnose(trials, Model(robot), validation=["quiet"], most=1)
     assert named(found) == [("torque_saturation", ("drive",))] and value(found) == pytest.approx(0.6, rel=0.02)
 
 
@@ -421,5 +421,5 @@ def test_intervals_are_chosen_with_the_engine_that_was_asked_for(
     folder = Path(__file__).parent.parent / "docs" / "examples" / "pendulum"
     model = workflow.load_model(folder.with_suffix(".xml"))
     with pytest.raises(Chosen) as said:
-        workflow.diagnose_recordings(folder, model, engine="mujoco", threads=1)
+        workflow.diagnose(folder, model, engine="mujoco", threads=1)
     assert said.value.args == ("mujoco", 1)

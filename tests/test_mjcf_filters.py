@@ -115,9 +115,7 @@ def test_the_time_constant_is_a_number_that_is_identified_and_written() -> None:
 
 @pytest.mark.slow
 def test_a_lag_beside_the_filter_is_found() -> None:
-    found = workflow.diagnose_recordings(
-        recorded(cart(SERVO), FirstOrderLag("motor", 0.05)), Model(cart(SERVO)), most=1
-    )
+    found = workflow.diagnose(recorded(cart(SERVO), FirstOrderLag("motor", 0.05)), Model(cart(SERVO)), most=1)
     names = {f.named.effect for f in found.findings} | {e.effect for f in found.findings for e in f.equivalent}
     assert found.verdict == "explained" and "first_order_lag" in names
 

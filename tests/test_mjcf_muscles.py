@@ -148,13 +148,13 @@ def recorded(loss: float) -> tuple[Recording, ...]:
 
 
 def test_score_tells_the_friction_that_a_muscled_arm_lacks() -> None:
-    errors = [workflow.score_recordings(recorded(loss), Model(ROBOT)).rmse[0] for loss in (0.0, 0.15)]
+    errors = [workflow.score(recorded(loss), Model(ROBOT)).rmse[0] for loss in (0.0, 0.15)]
     assert errors[1] > 5 * errors[0]
 
 
 @pytest.mark.slow
 def test_a_diagnosis_of_a_muscled_arm_names_the_friction() -> None:
-    found = workflow.diagnose_recordings(recorded(0.15), Model(ROBOT), most=1, threads=1)
+    found = workflow.diagnose(recorded(0.15), Model(ROBOT), most=1, threads=1)
     assert [(f.named.effect, f.named.locations) for f in found.findings] == [("coulomb_friction", ("elbow",))]
     size = found.findings[0].parameters["friction"]
     assert size.value == pytest.approx(0.15, rel=0.05)

@@ -32,7 +32,7 @@ def test_what_makes_an_answer_doubtful_is_told() -> None:
     drive = MOTOR.replace("/>", ' ctrllimited="true" ctrlrange="-0.3 0.3"/>')
     real, model = (Model(MjcfRobot("robot", PENDULUM.format(drive=d))) for d in (MOTOR, drive))
     trials = recorded(real, count=1, seconds=2.0)
-    found = workflow.diagnose_recordings(trials, model, shoot=2.0, most=1)
+    found = workflow.diagnose(trials, model, shoot=2.0, most=1)
     assert not found.validation and not found.test
     assert any(note.startswith("Nothing was held out") for note in found.notes)
     assert any("beyond the XML's ctrlrange of -0.3 to 0.3" in note for note in found.notes)

@@ -35,21 +35,20 @@ from equimus_ctrl.options import (
 )
 from equimus_ctrl.proof.designs import DURATION, TRIALS
 from equimus_ctrl.proof.drawing import Kind
-from equimus_ctrl.workflow import prove as proving
-from equimus_ctrl.workflow import validate as validating
+from equimus_ctrl.workflow import proofs, validations
 
 VERBS: dict[str, tuple[Any, type[Any], Any, str, list[str]]] = {
-    "autotune": (autotune.autotune, AutotuneOptions, workflow, "autotune", ["lqr"]),
-    "autotune-pid": (autotune.autotune_pid, AutotuneOptions, workflow, "autotune", []),
+    "autotune": (autotune.autotune, AutotuneOptions, workflow, "tune_into", ["lqr"]),
+    "autotune-pid": (autotune.autotune_pid, AutotuneOptions, workflow, "tune_into", []),
     "check": (check.check, CheckOptions, workflow, "check", ["trials"]),
     "compare": (compare.compare, CompareOptions, workflow, "compare", ["hold"]),
-    "diagnose": (diagnose.diagnose, DiagnoseOptions, workflow, "diagnose_recordings", ["trials"]),
+    "diagnose": (diagnose.diagnose, DiagnoseOptions, workflow, "diagnose", ["trials"]),
     "export": (export.export, ExportOptions, workflow, "export_model", []),
-    "identify": (identify.identify, IdentifyOptions, workflow, "identify_files", ["trials"]),
-    "prove": (prove.prove, ProveOptions, proving, "put_to_proof", []),
-    "score": (score.score, ScoreOptions, workflow, "score_recordings", ["trials"]),
-    "sensitivity": (sensitivity.sensitivity, SensitivityOptions, workflow, "sensitivity_of", ["trials"]),
-    "validate": (validate.validate, ValidateOptions, validating, "validate_physics", []),
+    "identify": (identify.identify, IdentifyOptions, workflow, "identify", ["trials"]),
+    "prove": (prove.prove, ProveOptions, proofs, "prove", []),
+    "score": (score.score, ScoreOptions, workflow, "score", ["trials"]),
+    "sensitivity": (sensitivity.sensitivity, SensitivityOptions, workflow, "sensitivity", ["trials"]),
+    "validate": (validate.validate, ValidateOptions, validations, "validate", []),
 }
 """Verb → its function, its options, where the library's function is, that function's name, and what it needs."""
 LIBRARY_ONLY = {("identify", "settings")}

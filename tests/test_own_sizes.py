@@ -157,7 +157,7 @@ def test_several_sizes_are_judged_together(correlation: float, nothing: bool) ->
     count = len(known)
     seen = np.eye(count + 2)
     seen[count, count + 1] = seen[count + 1, count] = -correlation
-    uncertainty = Uncertainty(np.ones(count + 2), 2 * np.ones(count + 2), seen, (), 100.0)
+    uncertainty = Uncertainty(np.ones(count + 2), 2 * np.ones(count + 2), seen, (), 100.0, np.eye(count + 2), 2.0)
     fit: Any = SimpleNamespace(
         hypothesis=(rubs,), fit=SimpleNamespace(uncertainty=uncertainty, theta=np.append(known, [1.5, 1.5]))
     )

@@ -231,7 +231,7 @@ def test_guesses_begin_at_the_lowest_place_that_was_seen() -> None:
 def test_a_table_that_the_hand_touches_is_found_with_its_height() -> None:
     height = 0.04
     trials = recorded(Model(REACHING, (PlaneContact("hand", height),)), 0.3, 1)
-    found = workflow.diagnose_recordings(trials, Model(REACHING), most=1)
+    found = workflow.diagnose(trials, Model(REACHING), most=1)
     assert [(f.named.effect, f.named.locations) for f in found.findings] == [("plane_contact", ("hand",))]
     estimate = found.findings[0].parameters["height"]
     assert estimate.value == pytest.approx(height, abs=1e-3) and estimate.unit == "m"

@@ -167,11 +167,11 @@ def test_what_is_tuned_is_written_for_that_robot_and_run_takes_it(
     text = text.replace("duration = 3.0", "duration = 1.5").replace("duration = 4.0", "duration = 1.5")
     (tmp_path / "tuning" / "pid_any.toml").write_text(text)
     model = Model(ARM)
-    tuned = workflow.tune_pid(None, model, candidates=3, workers=1)
+    tuned = workflow.tune_into("pid", None, model, candidates=3, workers=1)
     assert tuned.settings == tmp_path / "controllers" / "pid_arm.toml" and tuned.reused == 0
     record = json.loads(tuned.record.read_text())
     assert record["evaluated"] == 3 and record["unseen"]["robots"] == 1
-    again = workflow.tune_pid(None, model, candidates=3, workers=1)
+    again = workflow.tune_into("pid", None, model, candidates=3, workers=1)
     assert again.reused == 3 and again.settings.read_text() == tuned.settings.read_text()
     done = workflow.run_scenario("hold", "pid", model=model, options={"duration": "0.5"})
     assert done.run.note == ""  # gains that were tuned
@@ -290,12 +290,12 @@ def test_regulators_of_the_leg_are_tuned_from_the_study_to_the_file(
         assert long in text
         text = text.replace(long, short)
     (tmp_path / "tuning" / study).write_text(text)
-    tuned = workflow.autotune(controller, candidates=8, workers=1)
+    tuned = workflow.tune_into(controller, candidates=8, workers=1)
     record = json.loads(tuned.record.read_text())
     assert record["best"]["feasible"] and record["best"]["cost"] < record["start"]["cost"]
     assert set(record["searched"]["tuned"]) >= {"pressure", "observer.torque", "observer.pressure"}
     assert record["unseen"]["stable"] == record["unseen"]["robots"] == 1 and record["evaluated"] == 8
-    again = workflow.autotune(controller, candidates=8, workers=1)
+    again = workflow.tune_into(controller, candidates=8, workers=1)
     assert again.reused == 8 and again.settings.read_text() == tuned.settings.read_text()
     done = workflow.run_scenario("hold", controller, options={"duration": "0.3"})
     assert np.isfinite(done.run.command).all()

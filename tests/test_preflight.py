@@ -160,7 +160,7 @@ def test_a_zero_that_cannot_be_is_told() -> None:
 
 
 def test_a_diagnosis_looks_first() -> None:
-    said = refusal(lambda: workflow.diagnose_recordings([replace(r, command=-r.command) for r in runs()], Model(ROBOT)))
+    said = refusal(lambda: workflow.diagnose([replace(r, command=-r.command) for r in runs()], Model(ROBOT)))
     assert "look negated" in said
 
 

@@ -295,7 +295,7 @@ def test_files_models_and_the_xml_that_is_written_hold_it(tmp_path: Path) -> Non
     write(tmp_path / "shaken.csv", recording(1e-3))
     model = workflow.load_model(tmp_path / "arm.xml", prescribe=["should*"])
     assert model.robot.prescribed_names == ("shoulder",)
-    score = workflow.score_recordings([tmp_path / "shaken.csv"], model)
+    score = workflow.score([tmp_path / "shaken.csv"], model)
     assert score.rmse[0] < 0.02 and score.to_dict()["rmse_rad"].keys() == {"elbow"}
     workflow.save_model(tmp_path / "kept.toml", model.with_parameters({"lower.mass": 0.7}), tmp_path / "arm.xml")
     again = workflow.load_model(tmp_path / "kept.toml")
@@ -360,7 +360,7 @@ def test_a_shaken_robot_needs_no_drive_of_its_own(tmp_path: Path) -> None:
     assert model.robot.actuator_names == ()
     (own,) = workflow.gather([tmp_path / "it.csv"], model)
     assert own.command.shape == (len(TIMES), 0)
-    score = workflow.score_recordings([own], model, engine="mujoco")
+    score = workflow.score([own], model, engine="mujoco")
     assert 0 < score.rmse[0] < 1
     shown = excitation_of(model, cut(model, [own]))
     assert shown["elbow"].force > 0 and shown["elbow"].speed > 0

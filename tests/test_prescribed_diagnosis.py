@@ -53,7 +53,7 @@ def shaken_by_hand(rng: np.random.Generator, name: str) -> Recording:
 def test_friction_at_the_other_joint_is_found() -> None:
     rng = np.random.default_rng(4)
     trials = [shaken_by_hand(rng, f"shaken_{k}") for k in range(4)]
-    found = workflow.diagnose_recordings(trials, Model(ROBOT), threads=1)
+    found = workflow.diagnose(trials, Model(ROBOT), threads=1)
     record = found.to_dict()
     assert [(own["effect"], list(own["locations"])) for own in record["findings"]] == [("coulomb_friction", ["elbow"])]
     assert found.findings[0].parameters["friction"].value == pytest.approx(FRICTION, rel=0.05)

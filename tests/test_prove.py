@@ -20,7 +20,7 @@ from equimus_ctrl.proof.seal import seal_of_all
 from equimus_ctrl.proof.shares import Share
 from equimus_ctrl.proof.store import Made, Request
 from equimus_ctrl.workflow import prove as workflow
-from equimus_ctrl.workflow.prove import put_to_proof
+from equimus_ctrl.workflow.proofs import prove
 
 # --- fingerprints
 
@@ -131,7 +131,7 @@ class World:
             yield k, texts if self.how is None else Ended(self.how)
 
     def prove(self, folder: Path, **options: Any) -> Any:
-        return put_to_proof(folder, **{"cases": 2, "workers": 1, "say": self.events.append, **options})
+        return prove(folder, **{"cases": 2, "workers": 1, "say": self.events.append, **options})
 
 
 @pytest.fixture

@@ -85,13 +85,13 @@ def test_ground_truths_reports_and_truths_come_together(tmp_path: Path, monkeypa
     said = SimpleNamespace(to_dict=lambda: report(SAID_LAG), base=None)
     monkeypatch.setattr(blind, "diagnose", lambda *a, **k: said)
     options: dict[str, Any] = {"cases": 1, "kind": "none", "trials": 1, "duration": 2.0, "baselines": False}
-    found = workflow.put_to_proof(tmp_path, **options)
+    found = workflow.prove(tmp_path, **options)
     assert found.score.ours.false_alarms["all"] == Share(1, 1)
     assert found.seal == seal_of_all([(tmp_path / "seals" / "case_0000.txt").read_text().strip()])
     trial = tmp_path / "recordings" / "case_0000" / "trial_00.csv"
     trial.write_text(trial.read_text().replace("\n0.0,", "\n1e-05,", 1))
     with pytest.raises(ConfigError, match="recordings were changed after their truth was sealed"):
-        workflow.put_to_proof(tmp_path, **options)
+        workflow.prove(tmp_path, **options)
 
 
 def test_a_diagnosis_that_fails_is_an_answer_too(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -35,7 +35,7 @@ from equimus_ctrl.proof.sizes import mjcf_table
 from equimus_ctrl.proof.store import Request
 from equimus_ctrl.types import Array, Recording
 from equimus_ctrl.workflow.models import load_model
-from equimus_ctrl.workflow.prove import far_beyond
+from equimus_ctrl.workflow.proofs import far_beyond
 from equimus_ctrl.workflow.scores import gather
 
 EXAMPLES = Path(__file__).resolve().parents[1] / "docs" / "examples"
@@ -266,7 +266,7 @@ def test_robots_that_run_away_without_their_controller_are_told(
         scale = times[int(folder.name.rpartition("_")[2])]
         return [replace(r, position=scale * r.position) for r in pendulum.recordings]
 
-    monkeypatch.setattr("equimus_ctrl.workflow.prove.recorded", recorded)
+    monkeypatch.setattr("equimus_ctrl.workflow.proofs.recorded", recorded)
     said = far_beyond(Request.of_mjcf(tmp_path, 1, None, pendulum), len(times))
     assert len(said) == (far > 0)
     assert not far or said[0].startswith(f"{far} of 4 robots moved more than 3 times as far")

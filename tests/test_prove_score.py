@@ -242,7 +242,7 @@ def test_the_share_of_the_error_taken_away_is_over_the_true_noise() -> None:
 # --- goals
 
 
-def many(good: Any, bad: Any, n: int = 30, wrong: int = 0) -> list[Any]:
+def many(good: Any, bad: Any, n: int = 400, wrong: int = 0) -> list[Any]:
     return [bad] * wrong + [good] * (n - wrong)
 
 
@@ -266,14 +266,16 @@ GOOD: dict[str, tuple[Any, Any]] = {
 @pytest.mark.parametrize("name", GOOD)
 def test_each_goal_is_met_and_missed(name: str) -> None:
     good, bad = GOOD[name]
-    for wrong, state in ((0, "met"), (16, "missed"), (30, "missed")):
+    for wrong, state in ((0, "met"), (214, "missed"), (400, "missed")):
         found = scored(*many(good, bad, wrong=wrong))
         (goal,) = [g for g in found.goals if g.name == name]
-        if name == "error" and wrong == 16:
-            state = "open"  # a median of 30 numbers, 14 of them right, tells nothing
+        if name == "error" and wrong == 214:
+            state = "open"  # a median of 400 numbers, 186 of them right, tells nothing
         assert goal.state == state
-        assert found.accurate or wrong
-    assert name == "seconds" or not found.accurate
+        # Of so many alike, whose intervals all hold, these are known to be too wide.
+        missed = {g.name for g in found.goals if g.judged and g.state == "missed"} - {"coverage", "own_coverage"}
+        assert not missed or wrong
+    assert name == "seconds" or (missed and not found.accurate)
 
 
 def test_held_out_error_and_coverage_are_goals_too() -> None:
@@ -289,12 +291,22 @@ def test_held_out_error_and_coverage_are_goals_too() -> None:
     assert {g.name for g in wide.goals if g.state == "missed"} == {"coverage", "own_coverage"}
 
 
-def test_few_cases_leave_goals_open_and_none_leaves_them_all() -> None:
+def test_few_cases_are_too_few_to_claim_anything_and_enough_to_see_what_is_wrong() -> None:
     one = scored((truth("none"), report()))
     states = {g.name: g.state for g in one.goals}
-    assert states.pop("false_alarms") == "met" and states.pop("seconds") == "met"
-    assert states.pop("own_coverage") == "open" and set(states.values()) == {"open"}
-    assert one.accurate
+    assert states.pop("seconds") == "met", "which is of these cases"
+    assert set(states.values()) == {"too few"} and one.accurate
+    for n, state in ((72, "too few"), (73, "met")):  # 73 of 73: from 95.0 % on
+        (goal,) = [g for g in scored(*many(*GOOD["single"], n=n)).goals if g.name == "single"]
+        assert goal.state == state
+    (goal,) = [g for g in scored(*many(*GOOD["single"], n=4, wrong=4)).goals if g.name == "single"]
+    assert goal.state == "missed"
+
+
+def test_what_so_many_can_show() -> None:
+    assert not Share(0, 0).can_show(0.0, 1.0) and Share(0, 1).can_show(0.0, 1.0)
+    assert Share(5, 140).can_show(0.90, 0.98) and not Share(132, 140).can_show(0.99, 1.0)
+    assert not Share(33, 35).can_show(0.92, 0.96), "whatever of 35: intervals are wider"
 
 
 # --- tables and figures

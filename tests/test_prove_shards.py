@@ -19,7 +19,7 @@ from equimus_ctrl.executors.versions import OtherProcessor, processor, versions
 from equimus_ctrl.options import ProveOptions, Shard
 from equimus_ctrl.proof import blind
 from equimus_ctrl.workflow import prove_shards
-from equimus_ctrl.workflow.prove import put_to_proof
+from equimus_ctrl.workflow.proofs import prove
 
 
 @pytest.fixture
@@ -169,22 +169,22 @@ def contents(folder: Path) -> dict[str, Any]:
 def whole(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, Any]]:
     """A proof in one run, on two processes of this computer, and its record."""
     folder = tmp_path_factory.mktemp("whole")
-    return folder, timeless(put_to_proof(folder, workers=2, **CASES).to_dict())
+    return folder, timeless(prove(folder, workers=2, **CASES).to_dict())
 
 
 @pytest.mark.slow
 def test_shards_merged_are_the_whole_to_the_byte(whole: tuple[Path, dict[str, Any]], tmp_path: Path) -> None:
     folders = [tmp_path / "one", tmp_path / "two"]
     for k, folder in enumerate(folders):
-        put_to_proof(folder, shard=Shard(k + 1, 2), workers=1, **CASES)
-    merged = put_to_proof(tmp_path / "merged", merge=folders, **CASES)
+        prove(folder, shard=Shard(k + 1, 2), workers=1, **CASES)
+    merged = prove(tmp_path / "merged", merge=folders, **CASES)
     assert timeless(merged.to_dict()) == whole[1]
     assert contents(tmp_path / "merged") == contents(whole[0])
     assert set(contents(whole[0])) >= {"request.json", "seals.txt", "truth/case_0002.json", "reports/case_0002.json"}
     path = folders[0] / "truth" / "case_0000.json"
     path.write_text(path.read_text().replace("none", "nine"))
     with pytest.raises(ConfigError, match="it was changed after it was sealed"):
-        put_to_proof(tmp_path / "changed", merge=folders, **CASES)
+        prove(tmp_path / "changed", merge=folders, **CASES)
 
 
 @pytest.mark.slow
@@ -204,7 +204,7 @@ def test_a_cluster_that_loses_a_worker_gives_the_same_to_the_byte(
             killed.append(pid)
 
     with own:
-        found = put_to_proof(tmp_path / "dask", scheduler=own.scheduler_address, progress=kill, **CASES)
+        found = prove(tmp_path / "dask", scheduler=own.scheduler_address, progress=kill, **CASES)
     assert len(killed) == 2
     assert timeless(found.to_dict()) == whole[1]
     assert contents(tmp_path / "dask") == contents(whole[0])

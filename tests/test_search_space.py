@@ -292,4 +292,4 @@ def test_a_controller_that_fails_at_once_says_why(folder: Path) -> None:
     workflow.load_plugins(["own.py"])
     model = Model(MjcfRobot("arm", ARM))
     with pytest.raises(eq.ControllerError, match="expected finite"), np.errstate(all="ignore"):
-        workflow.autotune("springy", folder / "own.toml", model)
+        workflow.tune_into("springy", folder / "own.toml", model)

@@ -17,7 +17,7 @@ from equimus_ctrl.models.kinematics import Kinematics
 from equimus_ctrl.models.model import Model, nominal_model
 from equimus_ctrl.report.sensitivity_figures import sensitivity_figures
 from equimus_ctrl.types import Array, Recording
-from equimus_ctrl.workflow import sensitivity_of
+from equimus_ctrl.workflow import sensitivity
 
 MODEL = nominal_model()
 
@@ -36,7 +36,7 @@ TRIAL = made_up()
 
 @pytest.fixture(scope="module")
 def found() -> Any:
-    return sensitivity_of([TRIAL], MODEL)
+    return sensitivity([TRIAL], MODEL)
 
 
 def predicted(model: Model) -> Array:
@@ -93,7 +93,7 @@ def test_what_matters_most_comes_first_and_what_cannot_matter_last(found: Any) -
 
 
 def test_variants_that_cannot_be_or_diverge_are_marked() -> None:
-    found = sensitivity_of([TRIAL], MODEL, parameters=["hip.damping", "calf.mass"], shares=(-1.5, 1e5))
+    found = sensitivity([TRIAL], MODEL, parameters=["hip.damping", "calf.mass"], shares=(-1.5, 1e5))
     damping, mass = row(found, "hip.damping"), row(found, "calf.mass")
     assert found.diverged.tolist()[damping] == [False, True], "too stiff for the step"
     assert np.isnan(found.rmse[damping]).all() and np.isnan(found.rmse[mass, 0]).all()
@@ -108,22 +108,22 @@ def test_variants_that_cannot_be_or_diverge_are_marked() -> None:
 
 def test_engines_and_threads_agree(found: Any) -> None:
     names = ["baa.area", "maa.stiffness"]
-    one = sensitivity_of([TRIAL], MODEL, parameters=names, threads=1)
+    one = sensitivity([TRIAL], MODEL, parameters=names, threads=1)
     assert np.array_equal(one.rmse, found.rmse[[row(found, name) for name in one.names]])
-    mujoco = sensitivity_of([TRIAL], MODEL, parameters=names, engine="mujoco")
+    mujoco = sensitivity([TRIAL], MODEL, parameters=names, engine="mujoco")
     assert mujoco.names == one.names and mujoco.rmse == pytest.approx(one.rmse, abs=2e-4)
     assert mujoco.local == pytest.approx(one.local, rel=0.02)
 
 
 def test_progress_and_refusals() -> None:
     told: list[float] = []
-    sensitivity_of([TRIAL, TRIAL], MODEL, parameters=["gravity"], progress=told.append)
+    sensitivity([TRIAL, TRIAL], MODEL, parameters=["gravity"], progress=told.append)
     assert told == [0.5, 1.0]
     with pytest.raises(ConfigError, match="no share was given"):
-        sensitivity_of([TRIAL], MODEL, shares=())
+        sensitivity([TRIAL], MODEL, shares=())
     with pytest.raises(ConfigError, match="is nan, expected a finite number other than 0"):
-        sensitivity_of([TRIAL], MODEL, shares=(0.1, float("nan")))
+        sensitivity([TRIAL], MODEL, shares=(0.1, float("nan")))
     with pytest.raises(
         SimulationDiverged, match="made_up: the simulation of nominal_leg diverges with the nominal model"
     ):
-        sensitivity_of([TRIAL], MODEL.with_parameters({"hip.damping": 1e4}), parameters=["gravity"])
+        sensitivity([TRIAL], MODEL.with_parameters({"hip.damping": 1e4}), parameters=["gravity"])

@@ -22,7 +22,7 @@ from equimus_ctrl.identification.simulators import simulator_for
 from equimus_ctrl.models.model import Model, nominal_model
 from equimus_ctrl.robots.mjcf.robot import MjcfRobot
 from equimus_ctrl.types import Recording
-from equimus_ctrl.workflow.identify import with_free_zeros
+from equimus_ctrl.workflow.identifications import with_free_zeros
 
 ARM = MjcfRobot("arm", PENDULUM.format(drive=MOTOR))
 SERVO_ARM = MjcfRobot("arm", PENDULUM.format(drive=SERVO))
@@ -86,9 +86,7 @@ def test_starts_of_trials_held_out_take_their_zeros_along() -> None:
 def test_missing_friction_is_found_beside_unknown_zeros_of_a_servo() -> None:
     """A servo's own encoder is off as the recorded one is not: where the goal is reached tells the zero."""
     trials = shifted(trials_of(CoulombFriction("hinge", 0.3), robot=SERVO_ARM, seed=3))
-    found = workflow.diagnose_recordings(
-        trials, Model(SERVO_ARM), free=["arm.mass"], zero_per_trial=["hinge"], most=1, threads=1
-    )
+    found = workflow.diagnose(trials, Model(SERVO_ARM), free=["arm.mass"], zero_per_trial=["hinge"], most=1, threads=1)
     assert [(f.named.effect, f.named.locations) for f in found.findings] == [("coulomb_friction", ("hinge",))]
     assert found.findings[0].parameters["friction"].value == pytest.approx(0.3, abs=0.01)
     fitted = {zero.recording: zero.value for zero in found.best.fit.zeros}

@@ -61,13 +61,13 @@ def test_what_is_held_out_tells_nothing_of_what_is_free(monkeypatch: pytest.Monk
     monkeypatch.setattr(importlib.import_module("equimus_ctrl.workflow.prepared"), "servo_gains", seen)
     trials = [*recorded(model(), count=8), replace(recorded(model(), count=1)[0], name="slow")]
     with pytest.raises(Seen):
-        workflow.diagnose_recordings(trials, model())
+        workflow.diagnose(trials, model())
     segments = {s.recording_name: s for s in asked[0]}
     assert list(segments) == ["t0", "t1", "t4", "t5", "slow"]
     assert segments["t0"].trial.sample_times[-1] == trials[0].time[-1]
     assert segments["slow"].trial.sample_times[-1] <= trials[-1].time[-1] * 0.75
     with pytest.raises(Seen):
-        workflow.diagnose_recordings(trials, model(), validation=["t[01]"], test=["t2"], until=None)
+        workflow.diagnose(trials, model(), validation=["t[01]"], test=["t2"], until=None)
     assert {s.recording_name for s in asked[1]}.isdisjoint({"t0", "t1", "t2"})
     # Whatever is measured in those, the same is told.
     stiff = model(kp=100 * TRUE)
@@ -105,7 +105,7 @@ def test_where_damping_is_free_a_servos_own_is_not() -> None:
 def test_a_servo_that_is_too_stiff_is_another_unit_with_its_stiffness() -> None:
     """Nominal is what was given, wherever fits begin."""
     given = model(kp=100 * TRUE)
-    found = workflow.diagnose_recordings(recorded(model(), count=4), given, most=1)
+    found = workflow.diagnose(recorded(model(), count=4), given, most=1)
     assert found.verdict == "consistent" and any("drive.kp 1200 → " in note for note in found.notes)
     assert found.model is given and found.another_unit is not None
     told_of = {d.parameter: d for d in found.another_unit.departures}

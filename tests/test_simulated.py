@@ -101,7 +101,7 @@ def test_a_hypothesis_that_diverges_where_the_error_is_taken_off_ends_nothing(mo
 
 
 def diagnosed(*args: float, **options: float) -> Diagnosis:
-    return workflow.diagnose_recordings(recorded(*args, **options), ARM, threads=2)  # type: ignore[arg-type]
+    return workflow.diagnose(recorded(*args, **options), ARM, threads=2)  # type: ignore[arg-type]
 
 
 def looks_simulated(found: Diagnosis) -> bool:

@@ -27,7 +27,7 @@ from equimus_ctrl.models.model import nominal_model
 from equimus_ctrl.options import DiagnoseOptions
 from equimus_ctrl.report.diagnosis_page import page
 from equimus_ctrl.report.diagnosis_text import print_diagnosis
-from equimus_ctrl.workflow import diagnose_recordings, load_model
+from equimus_ctrl.workflow import diagnose, load_model
 from equimus_ctrl.workflow.splits import answer_of, over_splits
 
 STEPS = [f"step_{k}" for k in range(9)]
@@ -239,7 +239,7 @@ def test_a_split_that_cannot_be_diagnosed_is_told_and_the_others_go_on(diagnosis
 @pytest.mark.slow
 def test_every_split_names_the_friction_of_a_pendulum() -> None:
     docs = ROOT.parent / "docs" / "examples"
-    found = diagnose_recordings(docs / "pendulum", load_model(docs / "pendulum.xml"), splits=2, most=1)
+    found = diagnose(docs / "pendulum", load_model(docs / "pendulum.xml"), splits=2, most=1)
     splits = found.splits
     assert splits is not None and len(splits.answers) == 3 and not splits.fewer and not splits.undecided
     (law,) = splits.effects

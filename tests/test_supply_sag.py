@@ -116,7 +116,7 @@ def test_its_curve_is_what_is_left_of_forces_over_all_that_is_asked_for() -> Non
 def test_a_diagnosis_names_it_and_no_gain_or_saturation() -> None:
     """Recordings by MuJoCo alone."""
     trials = recorded_alone(4, seed=2, acts=lambda u: u * max(1 - DROP * np.abs(u).sum(), 0.0))
-    found = workflow.diagnose_recordings(trials, Model(ARM_OF_HINGES), most=1)
+    found = workflow.diagnose(trials, Model(ARM_OF_HINGES), most=1)
     assert [f.named.effect for f in found.findings] == ["supply_sag"] and found.verdict == "explained"
     drop = found.findings[0].parameters["drop"]
     assert drop.low <= DROP <= drop.high and drop.value == pytest.approx(DROP, rel=0.02)

@@ -220,7 +220,7 @@ def test_what_is_missing_at_a_measured_joint_is_found_beside_one_that_nobody_mea
         shown = stepped(xml, rng.normal(0, [0.1, 0.2, 0.1, 0.5]), force, dt)[:, :1]
         shown += rng.normal(0, 1e-4, shown.shape)
         trials.append(Recording(f"swung_{k}", TIMES, force[:, None], shown, ("push",), ("rail",)))
-    found = workflow.diagnose_recordings(trials, model_of(tmp_path, SWING, "string"), threads=1)
+    found = workflow.diagnose(trials, model_of(tmp_path, SWING, "string"), threads=1)
     record = found.to_dict()
     assert [(own["effect"], list(own["locations"])) for own in record["findings"]] == [("coulomb_friction", ["rail"])]
     assert found.findings[0].parameters["friction"].value == pytest.approx(friction, rel=0.05)

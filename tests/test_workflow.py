@@ -64,14 +64,14 @@ def test_a_wrong_model_file_is_a_sentence_with_its_name(tmp_path: Path) -> None:
 
 
 def test_a_model_scores_nothing_against_itself(trial: eq.Recording) -> None:
-    score = eq.score_recordings([trial])
+    score = eq.score([trial])
     np.testing.assert_allclose(score.rmse, 0.0, atol=1e-12)
     assert len(score.trials) == 1 and score.trials[0].samples == 240
     np.testing.assert_allclose(score.trials[0].predicted, trial.position, atol=1e-12)
 
 
 def test_both_engines_agree(trial: eq.Recording) -> None:
-    score = eq.score_recordings([trial], engine="mujoco")
+    score = eq.score([trial], engine="mujoco")
     assert np.all(score.rmse < 1e-5)
 
 
@@ -81,7 +81,7 @@ def test_errors_are_pooled_over_samples() -> None:
     late[100:] = [0.03, -0.01]
     short = np.zeros((60, 2))
     short[30:] = [0.0, 0.02]
-    score = eq.score_recordings([made("a", offset=late), made("b", 60, offset=short)])
+    score = eq.score([made("a", offset=late), made("b", 60, offset=short)])
     one, two = (t.rmse for t in score.trials)
     np.testing.assert_allclose(one, np.array([0.03, 0.01]) * math.sqrt(140 / 240), atol=1e-9)
     np.testing.assert_allclose(two, np.array([0.0, 0.02]) * math.sqrt(30 / 60), atol=1e-9)
@@ -94,9 +94,9 @@ def test_each_trial_starts_from_its_own_measured_start() -> None:
     """A leg that does not rest where the model would still is predicted from where it was."""
     other = eq.Model(eq.nominal_leg().with_parameters({"maa.area": 0.00042}))
     moved = made("moved", model=other)
-    score = eq.score_recordings([moved])
+    score = eq.score([moved])
     np.testing.assert_allclose(score.trials[0].predicted[0], moved.position[0], atol=1e-12)
-    assert np.all(eq.score_recordings([moved], other).rmse < 1e-10)
+    assert np.all(eq.score([moved], other).rmse < 1e-10)
     assert np.all(score.rmse > 1e-3)
 
 
@@ -106,10 +106,10 @@ def test_noise_does_not_decide_where_a_robot_begins_that_may_move(tmp_path: Path
     arm, noise = eq.load_model(tmp_path / "arm.xml"), 4e-3
     trials = recorded(arm, noise=noise)
     trials[1] = replace(trials[1], notes={"settled": "no"})  # each row counts all the same
-    found = eq.score_recordings(trials, arm)
+    found = eq.score(trials, arm)
     assert found.start == "fitted" and found.rmse[0] == pytest.approx(noise, rel=0.06)
     assert [score.samples for score in found.trials] == [len(trial.time) for trial in trials]
-    measured = eq.score_recordings(trials, arm, start="measured")
+    measured = eq.score(trials, arm, start="measured")
     assert measured.start == "measured" and measured.rmse[0] > 2 * noise
     np.testing.assert_allclose(measured.trials[0].predicted, eq.predict(arm, trials[0]), atol=1e-12)
 
@@ -125,7 +125,7 @@ def test_a_fitted_start_of_a_leg_is_what_its_effects_remember() -> None:
     angles = eq.predict(real, blank, start=eq.Kinematics(eq.nominal_leg()).equilibrium(before[0]))
     late = slice(100, None)
     trial = eq.Recording("t", time[late] - time[100], command[late], angles[late], ("maa", "baa"), ("hip", "knee"))
-    measured, fitted = (eq.score_recordings([trial], real, start=start).rmse for start in ("measured", "fitted"))
+    measured, fitted = (eq.score([trial], real, start=start).rmse for start in ("measured", "fitted"))
     assert np.all(fitted < measured)
 
 
@@ -133,31 +133,31 @@ def test_a_window_and_a_grid() -> None:
     late = np.zeros((240, 2))
     late[120:] = 0.05
     recorded = made("a", offset=late)
-    early, end = (eq.score_recordings([recorded], window=w) for w in ((0.0, 0.9), (1.0, 9.0)))
+    early, end = (eq.score([recorded], window=w) for w in ((0.0, 0.9), (1.0, 9.0)))
     np.testing.assert_allclose(early.rmse, 0.0, atol=1e-9)
     np.testing.assert_allclose(end.rmse, 0.05, atol=1e-9)
     assert early.trials[0].samples == 109 and end.trials[0].samples == 120
-    grid = eq.score_recordings([recorded], window=(1.0, 1.5), rate=20.0)
+    grid = eq.score([recorded], window=(1.0, 1.5), rate=20.0)
     assert grid.trials[0].samples == 11
     np.testing.assert_allclose(grid.rmse, 0.05, atol=1e-9)
-    assert eq.score_recordings([recorded], rate=120.0).trials[0].samples == 240
+    assert eq.score([recorded], rate=120.0).trials[0].samples == 240
 
 
 def test_files_folders_and_lists_do_the_same(tmp_path: Path, trial: eq.Recording) -> None:
     for name in ("one", "two"):
         recordings.write(tmp_path / f"{name}.csv", trial)
     both = [tmp_path / "one.csv", str(tmp_path / "two.csv")]
-    scores = [eq.score_recordings(given) for given in (tmp_path, str(tmp_path), both, [trial, trial])]
+    scores = [eq.score(given) for given in (tmp_path, str(tmp_path), both, [trial, trial])]
     for score in scores:
         assert len(score.trials) == 2
         np.testing.assert_allclose(score.rmse, scores[0].rmse, atol=1e-12)
     assert [t.recording.name for t in scores[0].trials] == ["one", "two"]
-    assert len(eq.score_recordings(tmp_path / "one.csv").trials) == 1
+    assert len(eq.score(tmp_path / "one.csv").trials) == 1
 
 
 def test_the_score_as_plain_types(trial: eq.Recording) -> None:
     shares: list[float] = []
-    found = eq.score_recordings([trial, trial], progress=shares.append).to_dict()
+    found = eq.score([trial, trial], progress=shares.append).to_dict()
     assert shares == [0.5, 1.0]
     assert set(found) == {"model", "engine", "start", "rmse_rad", "trials"} and found["model"] == "nominal_leg"
     assert found["start"] == "measured"
@@ -172,7 +172,7 @@ def test_the_concealed_leg_without_anything_left_out(recordings_dir: Path) -> No
     folder = recordings_dir / "concealed" / "open_1"
     if not folder.is_dir():
         pytest.skip("no concealed recordings here")
-    score = eq.score_recordings(folder)
+    score = eq.score(folder)
     assert len(score.trials) == 8 and np.all(score.rmse <= 0.0020) and np.all(score.rmse > 0.0017)
 
 
@@ -189,32 +189,32 @@ def test_a_window_without_samples_is_a_sentence(
     window: tuple[float, float], rate: float | None, sentence: str, trial: eq.Recording
 ) -> None:
     with pytest.raises(eq.ConfigError) as caught:
-        eq.score_recordings([trial], window=window, rate=rate)
+        eq.score([trial], window=window, rate=rate)
     assert str(caught.value).startswith(sentence)
 
 
 @pytest.mark.parametrize("rate", [0.0, -5.0, math.nan, math.inf])
 def test_a_rate_that_cannot_be_is_a_sentence(rate: float, trial: eq.Recording) -> None:
     with pytest.raises(eq.ConfigError, match="rate"):
-        eq.score_recordings([trial], rate=rate)
+        eq.score([trial], rate=rate)
 
 
 def test_nothing_to_score_is_a_sentence() -> None:
     with pytest.raises(eq.EquimusError, match="recording"):
-        eq.score_recordings([])
+        eq.score([])
 
 
 def test_trials_and_files_may_be_mixed(tmp_path: Path, trial: eq.Recording) -> None:
     recordings.write(tmp_path / "one.csv", trial)
-    assert len(eq.score_recordings([trial, tmp_path / "one.csv"]).trials) == 2  # type: ignore[list-item]
+    assert len(eq.score([trial, tmp_path / "one.csv"]).trials) == 2  # type: ignore[list-item]
 
 
 def test_another_robots_recording_is_a_sentence(trial: eq.Recording) -> None:
     other = eq.Recording("arm", trial.time, trial.command, trial.position, ("maa", "baa"), ("hip", "elbow"))
     with pytest.raises(eq.ConfigError, match=r"arm: has joints hip, elbow .* but the model nominal_leg has hip, knee"):
-        eq.score_recordings([trial, other])
+        eq.score([trial, other])
     with pytest.raises(eq.ConfigError, match="there is no engine 'fast' .known: mujoco, reduced"):
-        eq.score_recordings([trial], engine="fast")  # type: ignore[arg-type]
+        eq.score([trial], engine="fast")  # type: ignore[arg-type]
 
 
 # Runs.
@@ -386,7 +386,7 @@ def study(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 def test_tuning_writes_where_it_says(study: Path, tmp_path: Path) -> None:
     totals: list[int] = []
     told: list[Any] = []
-    tuned = workflow.tune_pid(study, begin=totals.append, notify=told.append)
+    tuned = workflow.tune_into("pid", study, begin=totals.append, notify=told.append)
     assert totals == [3] and len(told) == 3 and tuned.reused == 0
     assert tuned.settings == tmp_path / "controllers" / "pid.toml"
     assert tuned.folder == tmp_path / "tuning" / "results" / "small"
@@ -401,40 +401,40 @@ def test_tuning_writes_where_it_says(study: Path, tmp_path: Path) -> None:
 
 
 def test_tuned_again_it_asks_nothing_twice(study: Path) -> None:
-    one = workflow.tune_pid(study)
-    two = workflow.tune_pid(study)
+    one = workflow.tune_into("pid", study)
+    two = workflow.tune_into("pid", study)
     assert two.reused == 3 and two.result.settings == one.result.settings
     assert all(trial.reused for trial in two.result.history)
-    fresh = workflow.tune_pid(study, fresh=True)
+    fresh = workflow.tune_into("pid", study, fresh=True)
     assert fresh.reused == 0 and (fresh.folder / "journal-1.jsonl").exists()
     assert len((fresh.folder / "journal-1.jsonl").read_text().splitlines()) == 4
 
 
 def test_another_tuning_leaves_what_is_there(study: Path, tmp_path: Path) -> None:
-    one = workflow.tune_pid(study)
+    one = workflow.tune_into("pid", study)
     before = {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()}
-    other = workflow.tune_pid(study, seed=6)
+    other = workflow.tune_into("pid", study, seed=6)
     assert one.left is None and other.left == one.settings and other.reused == 0
     assert other.folder.name == "small-2" and other.settings == other.folder / "pid.toml"
     assert eq.PidSettings.from_dict(presets.read_toml(other.settings)) == other.result.settings
     assert {path: path.read_bytes() for path in before} == before
-    assert workflow.tune_pid(study, seed=6).folder == other.folder, "it is found again"
+    assert workflow.tune_into("pid", study, seed=6).folder == other.folder, "it is found again"
     (tmp_path / "mine.toml").write_text("[gains]\n")
     with pytest.raises(eq.ConfigError, match=r"mine.toml: is there already; expected another name, or --force"):
-        workflow.tune_pid(study, output=tmp_path / "mine.toml")
+        workflow.tune_into("pid", study, output=tmp_path / "mine.toml")
     with pytest.raises(eq.ConfigError, match=r"small: holds another tuning, of other settings or another model"):
-        workflow.tune_pid(study, seed=7, folder=one.folder)
+        workflow.tune_into("pid", study, seed=7, folder=one.folder)
     edited = other.settings.read_text().replace("kp = ", "kp = 1")
     other.settings.write_text(edited)
-    beside = workflow.tune_pid(study, seed=6)
+    beside = workflow.tune_into("pid", study, seed=6)
     assert other.settings.read_text() == edited, "it was edited since"
     assert eq.PidSettings.from_dict(presets.read_toml(other.folder / "pid-2.toml")) == beside.result.settings
     (tmp_path / "empty").mkdir()
     (tmp_path / "empty" / "pid.toml").write_text("[gains]\n")
-    theirs = workflow.tune_pid(study, seed=6, folder=tmp_path / "empty", output=tmp_path / "out.toml")
+    theirs = workflow.tune_into("pid", study, seed=6, folder=tmp_path / "empty", output=tmp_path / "out.toml")
     assert (tmp_path / "empty" / "pid.toml").read_text() == "[gains]\n" and theirs.settings == tmp_path / "out.toml"
     other.settings.unlink()
-    forced = workflow.tune_pid(study, seed=6, force=True)
+    forced = workflow.tune_into("pid", study, seed=6, force=True)
     assert (forced.folder, forced.settings, forced.left) == (one.folder, one.settings, None)
     assert forced.settings.read_bytes() == beside.settings.read_bytes()
 
@@ -455,14 +455,15 @@ def test_tuned_settings_are_not_lost_with_a_full_disk(
 
     monkeypatch.setattr(presets, "write_bytes", full)
     with pytest.raises(eq.ConfigError, match=r"No space left on device.*; the settings are in .*controllers/pid.toml"):
-        workflow.tune_pid(study)
+        workflow.tune_into("pid", study)
     assert presets.read_toml(tmp_path / "controllers" / "pid.toml")["gains"]
     (told,) = {record.getMessage() for record in caplog.records if "journal.jsonl" in record.getMessage()}
     assert "cannot be written any more (No space left on device)" in told
 
 
 def test_options_take_the_place_of_the_studys(study: Path, tmp_path: Path) -> None:
-    tuned = workflow.tune_pid(
+    tuned = workflow.tune_into(
+        "pid",
         study,
         candidates=2,
         seed=9,
@@ -494,7 +495,7 @@ def test_a_wrong_tuning_is_a_sentence_and_writes_nothing(
     changes: dict[str, Any], kind: type[Exception], sentence: str, study: Path, tmp_path: Path
 ) -> None:
     with pytest.raises(kind) as caught:
-        workflow.tune_pid(**{"study": study, **changes})
+        workflow.tune_into("pid", **{"study": study, **changes})
     assert sentence in str(caught.value)
     assert sorted(p.name for p in tmp_path.iterdir()) == ["small.toml"]
 
@@ -506,7 +507,7 @@ def test_nothing_feasible_writes_no_settings(study: Path, tmp_path: Path) -> Non
     (tmp_path / "controllers").mkdir()
     (tmp_path / "controllers" / "pid.toml").write_text("# mine\n")
     with pytest.raises(NothingFeasible, match="none of 3 sets of gains is stable and within the limits on every leg"):
-        workflow.tune_pid(study)
+        workflow.tune_into("pid", study)
     assert (tmp_path / "controllers" / "pid.toml").read_text() == "# mine\n"
     assert not (tmp_path / "tuning" / "results" / "small" / "record.json").exists()
 
@@ -514,4 +515,4 @@ def test_nothing_feasible_writes_no_settings(study: Path, tmp_path: Path) -> Non
 def test_without_a_study_anywhere_it_is_a_sentence(study: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(presets, "find", lambda kind, file: None)
     with pytest.raises(eq.ConfigError, match=r"there is no tuning/any.toml; name a study with --study"):
-        workflow.tune_pid()
+        workflow.tune_into("pid")

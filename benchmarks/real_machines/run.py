@@ -157,7 +157,7 @@ def diagnosed(name: str, folder: Path, output: Path) -> Diagnosis:
     source = output / case.model / "corrected.toml" if goes_on else HERE / case.model
     model = workflow.load_model(source)
     bounds = intervals(model, output / case.model / "record.json", case.free) if goes_on else None
-    found = workflow.diagnose_recordings(
+    found = workflow.diagnose(
         [folder / case.recordings], model, free=case.free, bounds=bounds, validation=case.heldout,
         progress=lambda stage, share, best: print(f"  {share:4.0%} {stage}: {best}", flush=True),
     )  # fmt: skip

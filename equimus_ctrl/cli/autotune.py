@@ -25,7 +25,7 @@ from equimus_ctrl.options import AutotuneOptions
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from equimus_ctrl.workflow import Tuned
+    from equimus_ctrl.workflow import TunedFiles
 
 StudyFile = Annotated[
     Path | None, typer.Option(help="Study file (TOML); the controller's, leg.toml or any.toml in tuning/ by default.")
@@ -118,7 +118,7 @@ def _tune(
         def stage(name: str) -> None:
             progress.update(task, description=name)
 
-        tuned = workflow.autotune(
+        tuned = workflow.tune_into(
             controller,
             study,
             workflow.load_model(model),
@@ -150,7 +150,7 @@ def _tune(
         raise typer.Exit(130)
 
 
-def _print(console: Console, tuned: Tuned) -> None:
+def _print(console: Console, tuned: TunedFiles) -> None:
     result = tuned.result
     if result.interrupted or result.timed_out:
         how = "stopped" if result.interrupted else "the time was up"

@@ -63,9 +63,10 @@ def diagnose(
     equimus-ctrl diagnose unit_a unit_b --by folder --model robot.xml
     equimus-ctrl diagnose runs --model robot.xml --parameters free.toml --write-model corrected.toml
     """  # noqa: D301
-    from equimus_ctrl import outputs, presets
+    from equimus_ctrl import outputs
 
-    results = None if report is None else outputs.Results(report, force, report)
+    if report is not None:
+        outputs.Results(report, force, report)  # refused before the work where it would be after
     check_model_file(write_model, force)
     console = people()
     files: list[Path] = []
@@ -73,7 +74,7 @@ def diagnose(
         from equimus_ctrl import workflow
 
         workflow.load_plugins(plugins or ())
-        found = workflow.diagnose_recordings(
+        found = workflow.diagnose(
             recordings,
             chosen.read(recordings),
             options,
@@ -81,16 +82,11 @@ def diagnose(
             asked=asked,
         )
         record = found.to_dict()
-        if report is not None and results is not None:
-            from equimus_ctrl.report.diagnosis_page import page
-
+        if report is not None:
             show("report")
-            folder = results.opened(report)
             title = f"Diagnosis of {', '.join(path.name for path in recordings)}"
-            text = page(found, title, command_line=shlex.join(["equimus-ctrl", *sys.argv[1:]]))
-            shown = folder / "report.html"
-            files += [outputs.write_record(folder, "record.json", record, [shown]), shown]
-            presets.write_text(shown, text)
+            typed = shlex.join(["equimus-ctrl", *sys.argv[1:]])
+            files += workflow.write_report(found, report, title, command_line=typed, force=force)
     from equimus_ctrl.report.diagnosis_text import print_diagnosis
 
     print_diagnosis(console, found)

@@ -9,14 +9,17 @@ import typer
 
 from equimus_ctrl.cli.common import Force, Json, check_model_file, key_values, people, print_files, print_json
 from equimus_ctrl.cli.emulate import Domain, HardwareFile
+from equimus_ctrl.cli.flags import Command, Group
 from equimus_ctrl.cli.model_choice import ModelChoice
 from equimus_ctrl.cli.options import with_options
 
-app = typer.Typer(help="Check a real robot, and measure its delay.", no_args_is_help=True, rich_markup_mode="rich")
+app = typer.Typer(
+    cls=Group, help="Check a real robot, and measure its delay.", no_args_is_help=True, rich_markup_mode="rich"
+)
 Arm = Annotated[bool, typer.Option("--arm", help="Command the robot.")]
 
 
-@app.command()
+@app.command(cls=Command)
 @with_options
 def check(
     chosen: ModelChoice,
@@ -85,7 +88,7 @@ def _lines(found: dict[str, Any], states: str, commands: str) -> list[str]:
     return lines + [f"problem: {text}" for text in found["problems"]]
 
 
-@app.command()
+@app.command(cls=Command)
 @with_options
 def delay(
     chosen: ModelChoice,

@@ -87,7 +87,7 @@ def identify(
         def notify(stage: str, share: float, best: float) -> None:
             show(stage, share, "" if best != best else f"best {best:.5f} rad")
 
-        found = workflow.identify_files(
+        found = workflow.identify(
             recordings,
             chosen.read(recordings),
             options,

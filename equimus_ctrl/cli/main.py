@@ -27,6 +27,7 @@ from equimus_ctrl.cli import (
     sensitivity,
     validate,
 )
+from equimus_ctrl.cli.flags import Command, Group
 from equimus_ctrl.computer import keep_freed_memory
 from equimus_ctrl.errors import EquimusError, one_line
 
@@ -37,6 +38,7 @@ EXIT_CODES = """\
 
 app = typer.Typer(
     name="equimus-ctrl",
+    cls=Group,
     help="Simulate, control, tune and diagnose robots driven by linear elastic actuators.",
     epilog=EXIT_CODES,
     no_args_is_help=True,
@@ -44,20 +46,20 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
-app.command("autotune")(autotune.autotune)
-app.command("autotune-pid")(autotune.autotune_pid)
-app.command("run")(run.run)
-app.command("compare")(compare.compare)
-app.command("emulate")(emulate.emulate)
-app.command("export")(export.export)
-app.command("score")(score.score)
-app.command("validate")(validate.validate)
-app.command("identify")(identify.identify)
-app.command("check")(check.check)
-app.command("diagnose")(diagnose.diagnose)
-app.command("prove")(prove.prove)
-app.command("sensitivity")(sensitivity.sensitivity)
-app.command("list")(list_names.list_names)
+app.command("autotune", cls=Command)(autotune.autotune)
+app.command("autotune-pid", cls=Command)(autotune.autotune_pid)
+app.command("run", cls=Command)(run.run)
+app.command("compare", cls=Command)(compare.compare)
+app.command("emulate", cls=Command)(emulate.emulate)
+app.command("export", cls=Command)(export.export)
+app.command("score", cls=Command)(score.score)
+app.command("validate", cls=Command)(validate.validate)
+app.command("identify", cls=Command)(identify.identify)
+app.command("check", cls=Command)(check.check)
+app.command("diagnose", cls=Command)(diagnose.diagnose)
+app.command("prove", cls=Command)(prove.prove)
+app.command("sensitivity", cls=Command)(sensitivity.sensitivity)
+app.command("list", cls=Command)(list_names.list_names)
 app.add_typer(recordings.app, name="recordings")
 app.add_typer(hardware.app, name="hardware")
 

@@ -10,14 +10,12 @@ import typer
 from equimus_ctrl.cli.common import Figures, Json, PluginFiles, people, print_engine, print_files, print_json
 from equimus_ctrl.cli.options import with_options
 from equimus_ctrl.cli.progress import bars, times
-from equimus_ctrl.errors import ConfigError
 from equimus_ctrl.options import ProveOptions
 
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from equimus_ctrl.proof.mjcf import Experiment
-    from equimus_ctrl.workflow.prove import Proof
+    from equimus_ctrl.workflow.proofs import Proof
 
 MOST_ROWS = 60
 """Of a table in a terminal; files have all."""
@@ -74,8 +72,10 @@ def prove(
     from rich.progress import BarColumn, MofNCompleteColumn, TextColumn
 
     from equimus_ctrl import presets
+    from equimus_ctrl.workflow.models import load_model
+    from equimus_ctrl.workflow.proofs import experiment_of
 
-    experiment = _experiment(recordings or [], model, options.track)
+    experiment = experiment_of(recordings or (), None if model is None else load_model(model), options.track)
     kind = f"_{options.kind}" if options.kind else ""
     name = f"seed_{options.seed}{kind}" + (f"_{experiment.model.name}" if experiment else "")
     folder = output or presets.workspace() / "proof" / "results" / name
@@ -88,8 +88,8 @@ def prove(
     columns = (TextColumn("{task.description:<17}"), BarColumn(bar_width=24), MofNCompleteColumn(), *times())
     try:
         with bars(console, *columns) as progress:
-            from equimus_ctrl.workflow.prove import STAGES, put_to_proof
-            from equimus_ctrl.workflow.prove_shards import shard_name
+            from equimus_ctrl.workflow.proof_shards import shard_name
+            from equimus_ctrl.workflow.proofs import STAGES, prove
 
             tasks = {stage: progress.add_task(stage, total=options.cases, start=False) for stage in STAGES}
 
@@ -100,7 +100,7 @@ def prove(
                 if not console.is_terminal:
                     console.print(f"{stage}: {done} of {total}")
 
-            found = put_to_proof(
+            found = prove(
                 folder,
                 options,
                 experiment=experiment,
@@ -129,23 +129,6 @@ def prove(
         raise typer.Exit(3)
 
 
-def _experiment(recordings: list[Path], model: Path | None, track: float | None) -> Experiment | None:
-    """The MJCF robot and what is done with it; None where legs are put to the proof."""
-    if model is None:
-        if recordings:
-            raise ConfigError(f"{recordings[0]}: recordings are for --model, an MJCF robot; a leg's trials are drawn")
-        return None
-    if not recordings:
-        raise ConfigError(f"{model}: an MJCF robot is driven as in recordings of it; give their folder or files too")
-    from equimus_ctrl.proof.mjcf import Experiment, require_bare_mjcf
-    from equimus_ctrl.workflow.models import load_model
-    from equimus_ctrl.workflow.scores import gather
-
-    own = load_model(model)
-    require_bare_mjcf(own)  # before its recordings are taken for a leg's
-    return Experiment(own, tuple(gather(recordings, own)), track)
-
-
 def _head(found: Proof) -> dict[str, str]:
     r = found.request
     return {
@@ -172,6 +155,8 @@ def _print(console: Console, found: Proof) -> None:
     for goal in missed:
         judged = "" if goal.judged else " (not judged: it depends on the computer)"
         console.print(f"missed: {goal.title}{judged}", style="yellow", markup=False)
-    undecided = sum(g.state == "open" for g in goals)
+    few, undecided = (sum(g.state == state for g in goals) for state in ("too few", "open"))
     if not missed:
-        console.print("no goal is missed" + (f"; {undecided} are undecided with so few cases" if undecided else ""))
+        told = [f"{few} have too few cases to be judged"] if few else []
+        told += [f"{undecided} are undecided"] if undecided else []
+        console.print("; ".join(["no goal is missed", *told]))

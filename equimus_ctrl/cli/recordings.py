@@ -10,6 +10,7 @@ import typer
 
 from equimus_ctrl.cli.common import Force, Json, ModelFile, people, print_engine, print_files, print_json
 from equimus_ctrl.cli.emulate import HardwareFile
+from equimus_ctrl.cli.flags import Command, Group
 from equimus_ctrl.cli.model_choice import ModelChoice
 from equimus_ctrl.cli.options import with_options
 
@@ -21,7 +22,9 @@ if TYPE_CHECKING:
     from equimus_ctrl.recordings import Limits, Summary
     from equimus_ctrl.report.paged import PagedTable
 
-app = typer.Typer(help="Import, check, export and fetch recordings.", no_args_is_help=True, rich_markup_mode="rich")
+app = typer.Typer(
+    cls=Group, help="Import, check, export and fetch recordings.", no_args_is_help=True, rich_markup_mode="rich"
+)
 
 High = Annotated[float | None, typer.Option("--command-high", help="Highest command allowed, in Pa (default: 50000).")]
 Low = Annotated[float | None, typer.Option("--command-low", help="Lowest command allowed, in Pa (default: 0).")]
@@ -37,7 +40,7 @@ MapFile = Annotated[
 ]
 
 
-@app.command("import")
+@app.command("import", cls=Command)
 @with_options
 def import_(
     sources: Annotated[
@@ -101,7 +104,7 @@ def _refuse_limits_of_others(model: Model, low: float | None, high: float | None
         )
 
 
-@app.command("import-bag")
+@app.command("import-bag", cls=Command)
 def import_bag(
     bags: Annotated[list[Path], typer.Argument(help="rosbag2 bags, SQLite or MCAP.")],
     output: Annotated[Path, typer.Option("--output", "-o", help="Folder to write into, one CSV file a bag.")],
@@ -127,7 +130,7 @@ def import_bag(
         print_json({"files": [str(file) for file in files]})
 
 
-@app.command()
+@app.command(cls=Command)
 @with_options
 def check(
     paths: Annotated[list[Path], typer.Argument(help="Files or folders to read.")],
@@ -206,7 +209,7 @@ def _table(summaries: Sequence[Summary], robot: Model) -> PagedTable:
     return PagedTable(f"{len(summaries)} trials", ("trial", "time\ns", "rate\nHz", "jitter\nms", *named), rows)
 
 
-@app.command()
+@app.command(cls=Command)
 @with_options
 def export(
     recordings: Annotated[list[Path], typer.Argument(help="Recordings: files or folders, of any format that is read.")],
@@ -262,7 +265,7 @@ def export(
         print_json({"files": [str(file) for file in files]})
 
 
-@app.command()
+@app.command(cls=Command)
 def fetch(
     output: Annotated[
         Path | None,

@@ -105,7 +105,7 @@ def run(
     from equimus_ctrl.effects import parse
     from equimus_ctrl.errors import ConfigError, EquimusError, SimulationDiverged
     from equimus_ctrl.plants.registry import PLANTS
-    from equimus_ctrl.report.tables import run_table, score_to_dict
+    from equimus_ctrl.report.tables import run_table
 
     console = people()
     workflow.load_plugins(plugins or ())
@@ -180,7 +180,7 @@ def run(
     ours = list(files)  # of this folder; recordings are not, wherever they are
     if done.recording is not None:
         files.append(done.recording)
-    result = score_to_dict(done.score, done.run, done.scenario, done.controller)
+    result = done.to_dict()
     note = None
     if video is not None:
         from equimus_ctrl.report.video import save_video
@@ -189,14 +189,7 @@ def run(
             shown = save_video(done.run, done.model, video, progress=lambda share: show_stage(share=share))
         files.append(shown.path)
         note = shown.note
-    result |= {
-        "note": done.run.note,
-        "plant": done.plant,
-        "model": done.model.name,
-        "seed": seed,
-        "failure": None,
-        "files": [str(f) for f in files],
-    }
+    result |= {"seed": seed, "failure": None, "files": [str(f) for f in files]}
     outputs.write_record(folder, "score.json", result, ours)
     console.print(run_table(done.score, done.run, done.scenario, done.controller))
     if done.loop is not None:

@@ -47,7 +47,7 @@ def score(
     console = people()
     workflow.load_plugins(plugins or ())
     with share_bar(console, "score") as show:
-        found = workflow.score_recordings(
+        found = workflow.score(
             recordings,
             chosen.read(recordings),
             options,

@@ -65,7 +65,7 @@ def sensitivity(
         from equimus_ctrl import workflow
 
         workflow.load_plugins(plugins or ())
-        found = workflow.sensitivity_of(
+        found = workflow.sensitivity(
             recordings,
             chosen.read(recordings),
             options,

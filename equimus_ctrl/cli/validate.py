@@ -79,7 +79,7 @@ def validate(
     columns = (TextColumn("{task.description:<22}"), BarColumn(), *times(), TextColumn("{task.fields[error]}"))
     with bars(console, *columns) as progress:
         tasks = {stage: progress.add_task(title, total=1.0, start=False, error="") for stage, title in TITLES.items()}
-        from equimus_ctrl.workflow.validate import validate_physics
+        from equimus_ctrl.workflow.validations import validate
 
         def notify(stage: str, share: float, error: float | None) -> None:
             task = tasks[stage]
@@ -91,7 +91,7 @@ def validate(
             if share == 1.0 and not console.is_terminal:
                 console.print(f"{TITLES[stage]}: done" + ("" if error is None else f", RMSE {error:.1e} rad"))
 
-        found = validate_physics(robot, options, notify=notify)
+        found = validate(robot, options, notify=notify)
     record, drawn = found.to_dict(), list[Path]()
     folder = results.opened(default / presets.plain_name(robot.name))
     if figures:

@@ -111,6 +111,10 @@ CONTROLLERS: Registry[ControllerEntry] = Registry("controller", ControllerError)
 def register_controller(name: str, entry: ControllerEntry) -> None:
     """Make a controller known by a name.
 
+    Args:
+        name: a plain one.
+        entry: how it is made, and what is said of it.
+
     Raises:
         ConfigError: where the name is another's or no plain name.
     """

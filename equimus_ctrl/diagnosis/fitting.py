@@ -32,6 +32,7 @@ from equimus_ctrl.identification.residuals import followed
 from equimus_ctrl.identification.segments import Segment, led_along
 from equimus_ctrl.identification.simulators import Simulator
 from equimus_ctrl.identification.whitened_fit import whiten_fit
+from equimus_ctrl.shown import Short
 from equimus_ctrl.types import Array
 
 ROUNDS = 4
@@ -82,8 +83,8 @@ BESIDE, BESIDE_STEPS = (0.005, 0.02, 0.05), 30
 """Shares of all that such a parameter can be, by which fits begin beside it, and their steps."""
 
 
-@dataclass(frozen=True, eq=False)
-class Fitted:
+@dataclass(frozen=True, eq=False, repr=False)
+class Fitted(Short):
     """A fitted hypothesis.
 
     Attributes:

@@ -6,11 +6,12 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 from equimus_ctrl.diagnosis.coordinates import Coordinate, written
+from equimus_ctrl.shown import Short
 from equimus_ctrl.types import Array
 
 
-@dataclass(frozen=True, eq=False)
-class Residuals:
+@dataclass(frozen=True, eq=False, repr=False)
+class Residuals(Short):
     """Measured − predicted of one state of the model.
 
     Attributes:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
@@ -17,11 +17,18 @@ from equimus_ctrl.diagnosis.hypothesis import Part
 from equimus_ctrl.diagnosis.residuals import ResidualLocation, Residuals, Unexplained
 from equimus_ctrl.diagnosis.split_comparison import SplitComparison
 from equimus_ctrl.engines.base import Engine
+from equimus_ctrl.errors import ConfigError, unknown_name
+from equimus_ctrl.frames import dataframe
+from equimus_ctrl.identification.estimates import Covariance, TrialResiduals, covariance_of, residuals_by_trial
 from equimus_ctrl.identification.noise import Noise
-from equimus_ctrl.identification.results import FittedChannel, fitted_channels
+from equimus_ctrl.identification.results import FittedChannel, fitted_channels, small_units
 from equimus_ctrl.identification.segments import Segment
 from equimus_ctrl.models.model import Model, model_to_dict
+from equimus_ctrl.shown import Short, by_name, counted
 from equimus_ctrl.types import Array
+
+if TYPE_CHECKING:
+    from pandas import DataFrame
 
 SCHEMA = "equimus-ctrl/diagnosis/2"
 Verdict = Literal["consistent", "explained", "partly_explained", "unexplained", "unfinished"]
@@ -36,8 +43,8 @@ CONFIRMATION = "confirmation"
 was not carried out."""
 
 
-@dataclass(frozen=True, eq=False)
-class Equivalent:
+@dataclass(frozen=True, eq=False, repr=False)
+class Equivalent(Short):
     """An effect that fits as well in the place of a part of a hypothesis, or better.
 
     Attributes:
@@ -82,8 +89,8 @@ class Evidence:
         return {key: _finite(value) for key, value in vars(self).items()}
 
 
-@dataclass(frozen=True, eq=False)
-class Finding:
+@dataclass(frozen=True, eq=False, repr=False)
+class Finding(Short):
     """A piece of missing physics.
 
     Attributes:
@@ -103,6 +110,11 @@ class Finding:
     law: Part | None = None
     undetermined: str = ""
     by_group: Mapping[str, Mapping[str, Estimate]] = field(default_factory=dict)
+
+    def told(self) -> str:
+        """The effect, its places and parameters."""
+        values = ", ".join(f"{key} {own.value:.4g} {own.unit}" for key, own in self.parameters.items())
+        return f" {self.named.effect} at {' and '.join(self.named.locations)}: {values}"
 
     @property
     def named(self) -> Named:
@@ -244,8 +256,8 @@ class Rejected:
         return {**self.named.to_dict(), "stage": self.stage, "reason": self.reason}
 
 
-@dataclass(frozen=True, eq=False)
-class Diagnosis:
+@dataclass(frozen=True, eq=False, repr=False)
+class Diagnosis(Short):
     """The missing physics of a model of a robot.
 
     Attributes:
@@ -309,6 +321,59 @@ class Diagnosis:
     differences: tuple[Difference, ...] = ()
     another_unit: AnotherUnit | None = None
     splits: SplitComparison | None = None
+
+    def told(self) -> str:
+        """The verdict, what was found, and how much less the errors are."""
+        found = ", ".join(f"{own.named.effect} at {' and '.join(own.named.locations)}" for own in self.findings)
+        part: Set = "test" if self.test else "validation" if self.validation else "train"
+        before, after = (by_name(self.joints, 1e3 * self.rmse(state, part)) for state in STATES[1:])
+        fell = f"{before} → {after}" if self.findings else before
+        return (
+            f" of {self.model.name}: {self.verdict}" + (f", {found}" if found else "")
+            + f"; {part} RMSE {fell} {small_units(self.model.robot)}, "
+            f"{counted(len(self.train), 'segment')} fitted, {len(self.validation) + len(self.test)} held out"
+        )  # fmt: skip
+
+    @property
+    def covariance(self) -> Covariance:
+        """Of all parameters of the augmented model that were estimated, those of effects last.
+
+        Intervals of effects that are curved are by profile likelihood, see ``Finding.parameters``.
+        """
+        return covariance_of(self.best.fit.parameters, self.best.fit.uncertainty)
+
+    def trial_residuals(self, state: str = "corrected", part: str | None = None) -> tuple[TrialResiduals, ...]:
+        """Measured − predicted with times, of each trial.
+
+        Args:
+            state: of the model, one of ``STATES``.
+            part: of the trials, one of ``SETS``; all by default.
+
+        Raises:
+            ConfigError: for a state or a part that there is not.
+        """
+        for what, name, known in (("state of the model", state, STATES), ("set of trials", part, (None, *SETS))):
+            if name not in known:
+                raise ConfigError(unknown_name(what, str(name), [own for own in known if own]))
+        sets = SETS if part is None else (part,)
+        segments = [own for name in sets for own in getattr(self, name)]
+        residuals = [own for name in sets for own in getattr(self.residuals[state], name)]
+        return residuals_by_trial(self.model.robot, segments, residuals)
+
+    def to_dataframe(self) -> DataFrame:
+        """A row for each parameter of each effect found: value, interval, evidence.
+
+        Raises:
+            NotAvailable: where pandas is not installed.
+        """
+        columns = ("effect", "locations", "parameter", "unit", "value", "low", "high", "gain", "threshold", "share")
+        rows = [
+            (own.named.effect, ", ".join(own.named.locations), key, e.unit, e.value, e.low, e.high, own.evidence.gain,
+             own.evidence.threshold, own.evidence.share)
+            for own in self.findings
+            for key, e in own.parameters.items()
+        ]  # fmt: skip
+        return dataframe({name: [row[k] for row in rows] for k, name in enumerate(columns)})
 
     @property
     def joints(self) -> tuple[str, ...]:

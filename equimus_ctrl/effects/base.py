@@ -22,7 +22,14 @@ KINDS: Mapping[Robots, str] = {"elastic": "a robot with elastic actuators", "mjc
 
 
 def parameter(unit: str, low: float, high: float, doc: str) -> Any:
-    """A dataclass field for an effect's parameter: its unit, its bounds and what it means."""
+    """A dataclass field for an effect's parameter.
+
+    Args:
+        unit: SI.
+        low: the least that it can be.
+        high: the most.
+        doc: what it means, in a few words.
+    """
     return field(metadata={"unit": unit, "low": low, "high": high, "doc": doc})
 
 

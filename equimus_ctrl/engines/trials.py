@@ -14,6 +14,7 @@ from equimus_ctrl.engines.limits import MOST_STEPS
 from equimus_ctrl.errors import ConfigError
 from equimus_ctrl.recordings.smoothing import RecordedMotion
 from equimus_ctrl.robots.base import Robot
+from equimus_ctrl.shown import Short
 from equimus_ctrl.types import Array, PrescribedMotion, Recording
 
 R = TypeVar("R", bound=Robot)
@@ -35,8 +36,8 @@ class Same:
         return object.__hash__(self.array)
 
 
-@dataclass(frozen=True, eq=False)
-class Trial:
+@dataclass(frozen=True, eq=False, repr=False)
+class Trial(Short):
     """A command history and the times at which joint positions are wanted.
 
     Commands are pressures [Pa] of robots with elastic actuators, else in the unit of each actuator's command

@@ -12,11 +12,12 @@ from equimus_ctrl.identification.parameters import FreeParameters
 from equimus_ctrl.identification.residuals import joint_rmse, residuals_of
 from equimus_ctrl.identification.segments import Segment
 from equimus_ctrl.identification.simulators import Simulator
+from equimus_ctrl.shown import Short
 from equimus_ctrl.types import Array
 
 
-@dataclass(frozen=True, eq=False)
-class CrossCheck:
+@dataclass(frozen=True, eq=False, repr=False)
+class CrossCheck(Short):
     """Errors on held-out trials, all folds of a cross-validation together.
 
     Attributes:

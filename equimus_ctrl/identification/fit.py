@@ -28,6 +28,7 @@ from equimus_ctrl.identification.simulators import Simulator, simulator_for
 from equimus_ctrl.identification.uncertainty import Uncertainty, uncertainty
 from equimus_ctrl.models.augmented import unknown_starts
 from equimus_ctrl.models.model import Model
+from equimus_ctrl.shown import Short
 from equimus_ctrl.types import Array
 
 DAMPINGS = 10.0 ** np.array([-3.0, -1.5, 0.0, 1.5])
@@ -78,8 +79,8 @@ class SensorZero:
     value: float
 
 
-@dataclass(frozen=True, eq=False)
-class Fit:
+@dataclass(frozen=True, eq=False, repr=False)
+class Fit(Short):
     """Where a search ended.
 
     Attributes:

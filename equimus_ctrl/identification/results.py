@@ -2,16 +2,25 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from equimus_ctrl.engines.base import Engine
+from equimus_ctrl.errors import ConfigError, unknown_name
+from equimus_ctrl.frames import dataframe
 from equimus_ctrl.identification.caveats import caveats, of_parameters
 from equimus_ctrl.identification.crosscheck import CrossCheck
+from equimus_ctrl.identification.estimates import (
+    Covariance,
+    TrialResiduals,
+    covariance_of,
+    residuals_by_trial,
+)
 from equimus_ctrl.identification.fit import Fit
 from equimus_ctrl.identification.noise import Noise, white_noise
 from equimus_ctrl.identification.parameters import FreeParameters
@@ -21,13 +30,20 @@ from equimus_ctrl.identification.statics import StaticFit
 from equimus_ctrl.identification.uncertainty import TradeOff, Uncertainty
 from equimus_ctrl.models.model import Model, model_to_dict
 from equimus_ctrl.recordings import StaticPoses
+from equimus_ctrl.robots.base import Robot
+from equimus_ctrl.shown import Short, by_name, counted, listed
 from equimus_ctrl.types import Array, Recording
 
+if TYPE_CHECKING:
+    from pandas import DataFrame
+
 SCHEMA = "equimus-ctrl/identification/1"
+STATES = ("initial", "identified")
+"""Of the model, before and after."""
 
 
-@dataclass(frozen=True, eq=False)
-class Judged:
+@dataclass(frozen=True, eq=False, repr=False)
+class Judged(Short):
     """Something held out that the model is judged on.
 
     Attributes:
@@ -49,8 +65,8 @@ class Judged:
         return {what: self.name, "before": _by_joint(joints, rows[0]), "after": _by_joint(joints, rows[1])}
 
 
-@dataclass(frozen=True, eq=False)
-class Identified:
+@dataclass(frozen=True, eq=False, repr=False)
+class Identified(Short):
     """Parameters found from trials.
 
     Attributes:
@@ -72,6 +88,45 @@ class Identified:
     engine: Engine
     seconds: float
     check_seconds: float
+
+    def told(self) -> str:
+        """Errors before and after."""
+        found, joints = self.fit, self.fit.model.robot.joint_names
+        before, after = (by_name(joints, 1e3 * rmse) for rmse in (found.rmse_before, found.rmse))
+        return (
+            f" of {listed(found.parameters.names, 'parameter')} of {found.model.name} from "
+            f"{counted(len(self.recordings), 'trial')}: RMSE {before} → {after} {small_units(found.model.robot)}"
+        )
+
+    @property
+    def covariance(self) -> Covariance:
+        """Of the parameters, with their names and units; as wide as the intervals."""
+        return covariance_of(self.fit.parameters, self.fit.uncertainty)
+
+    def trial_residuals(self, state: str = "identified") -> tuple[TrialResiduals, ...]:
+        """Measured − predicted with times, of each trial fitted and then of each held out.
+
+        Args:
+            state: of the model, ``"identified"`` or ``"initial"``.
+
+        Raises:
+            ConfigError: for another state.
+        """
+        if state not in STATES:
+            raise ConfigError(unknown_name("state of the model", state, STATES))
+        robot, identified = self.fit.model.robot, state == "identified"
+        fitted = residuals_by_trial(robot, self.segments, self.fit.residuals if identified else self.fit.before)
+        pairs = [(own.segment, own.after if identified else own.before) for own in self.heldout if own.segment]
+        return (*fitted, *residuals_by_trial(robot, [s for s, _ in pairs], [r for _, r in pairs]))
+
+    def to_dataframe(self) -> DataFrame:
+        """A row for each parameter: value, interval, bounds.
+
+        Raises:
+            NotAvailable: where pandas is not installed.
+        """
+        found = self.fit
+        return parameter_frame(found.parameters, found.theta, found.uncertainty, found.at_bound)
 
     @cached_property
     def caveats(self) -> tuple[str, ...]:
@@ -157,6 +212,11 @@ def zeros_sentence(found: Fit) -> str:
     return f"Zeros of the sensors (what they show too much): {', '.join(said)}." if said else ""
 
 
+def small_units(robot: Robot) -> str:
+    """Thousandths of the units of a robot's joints, such as ``mrad`` or ``mrad or mm``."""
+    return " or ".join(f"m{unit}" for unit in dict.fromkeys(robot.joint_units))
+
+
 def together(rmse: Array) -> float:
     """Root mean square over all joints of a root mean square of each."""
     return float(np.sqrt(np.mean(rmse**2)))
@@ -204,8 +264,22 @@ def parameter_rows(
     return rows
 
 
-@dataclass(frozen=True, eq=False)
-class IdentifiedPoses:
+def parameter_frame(parameters: FreeParameters, theta: Array, known: Uncertainty, at_bound: Array) -> DataFrame:
+    """``parameter_rows`` as a data frame, an end of an interval that is none as infinity.
+
+    Raises:
+        NotAvailable: where pandas is not installed.
+    """
+    rows = []
+    for row in parameter_rows(parameters, theta, known, at_bound):
+        least, most = row.pop("bounds")
+        low, high = (math.inf * sign if row[key] is None else row[key] for key, sign in (("low", -1), ("high", 1)))
+        rows.append({**row, "low": low, "high": high, "least": least, "most": most})
+    return dataframe(rows, "name")
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class IdentifiedPoses(Short):
     """Parameters found from poses at rest.
 
     Attributes:
@@ -219,6 +293,29 @@ class IdentifiedPoses:
     poses: StaticPoses
     heldout: tuple[Judged, ...]
     seconds: float
+
+    def told(self) -> str:
+        """Errors before and after."""
+        found, joints = self.fit, self.fit.model.robot.joint_names
+        before, after = (by_name(joints, 1e3 * joint_rmse([own])) for own in (found.before, found.residuals))
+        return (
+            f" of {listed(found.parameters.names, 'parameter')} of {found.model.name} from "
+            f"{counted(len(self.poses.pressure), 'pose')} at rest: RMSE {before} → {after} mrad"
+        )
+
+    @property
+    def covariance(self) -> Covariance:
+        """Of the parameters, with their names and units; as wide as the intervals."""
+        return covariance_of(self.fit.parameters, self.fit.uncertainty)
+
+    def to_dataframe(self) -> DataFrame:
+        """A row for each parameter: value, interval, bounds.
+
+        Raises:
+            NotAvailable: where pandas is not installed.
+        """
+        found = self.fit
+        return parameter_frame(found.parameters, found.theta, found.uncertainty, found.at_bound)
 
     @property
     def caveats(self) -> tuple[str, ...]:
@@ -251,8 +348,8 @@ class IdentifiedPoses:
         }
 
 
-@dataclass(frozen=True, eq=False)
-class Identification:
+@dataclass(frozen=True, eq=False, repr=False)
+class Identification(Short):
     """Identification from poses at rest, then from trials beginning at the model that the poses gave.
 
     Attributes:
@@ -266,10 +363,44 @@ class Identification:
     trials: Identified | None
 
     @property
+    def last(self) -> Identified | IdentifiedPoses:
+        """What the model is from: the trials, or the poses where there were none."""
+        last = self.trials or self.poses
+        assert last is not None  # whoever identifies has data
+        return last
+
+    @property
     def model(self) -> Model:
         """The model identified."""
-        last = self.trials or self.poses
-        return self.start if last is None else last.fit.model
+        return self.last.fit.model
+
+    @property
+    def covariance(self) -> Covariance:
+        """Of the parameters that were found last, with their names and units."""
+        return self.last.covariance
+
+    def trial_residuals(self, state: str = "identified") -> tuple[TrialResiduals, ...]:
+        """Measured − predicted with times, of each trial; none where only poses at rest were given.
+
+        Args:
+            state: of the model, ``"identified"`` or ``"initial"``: where the trials' search began.
+
+        Raises:
+            ConfigError: for another state.
+        """
+        return () if self.trials is None else self.trials.trial_residuals(state)
+
+    def to_dataframe(self) -> DataFrame:
+        """A row for each parameter that was found last: value, interval, bounds.
+
+        Raises:
+            NotAvailable: where pandas is not installed.
+        """
+        return self.last.to_dataframe()
+
+    def told(self) -> str:
+        """As of what was found last."""
+        return self.last.told()
 
     def to_dict(self) -> dict[str, Any]:
         """As JSON data: null for a part that was not done."""

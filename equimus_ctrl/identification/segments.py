@@ -29,6 +29,7 @@ from equimus_ctrl.errors import ConfigError
 from equimus_ctrl.identification.channels import NOTHING, Channels, channels_of, measured_channels
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.recordings.smoothing import RecordedMotion, recorded_motion
+from equimus_ctrl.shown import Short
 from equimus_ctrl.types import Array, Recording
 
 LEAST_SAMPLES = 10
@@ -44,8 +45,8 @@ LEAST_TRUST = 1e-4
 """In units of that in a sample."""
 
 
-@dataclass(frozen=True, eq=False)
-class Segment:
+@dataclass(frozen=True, eq=False, repr=False)
+class Segment(Short):
     """One start and what was measured from there on.
 
     Attributes:

@@ -4,18 +4,23 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from equimus_ctrl.engines.base import Engine
 from equimus_ctrl.errors import ConfigError, ModelError, SimulationDiverged
+from equimus_ctrl.frames import dataframe
 from equimus_ctrl.identification.parameters import default_bounds, matching, unit_of
 from equimus_ctrl.identification.segments import Segment
 from equimus_ctrl.identification.simulators import Simulator, simulator_for
 from equimus_ctrl.models.model import Model
+from equimus_ctrl.shown import Short, counted
 from equimus_ctrl.types import Array
+
+if TYPE_CHECKING:
+    from pandas import DataFrame
 
 SHARES = (-0.10, -0.05, -0.01, 0.01, 0.05, 0.10)
 SCHEMA = "equimus-ctrl/sensitivity/1"
@@ -24,8 +29,8 @@ LOCAL = 1e-4
 """Share of a parameter by which the local sensitivity's central differences step."""
 
 
-@dataclass(frozen=True, eq=False)
-class Sensitivity:
+@dataclass(frozen=True, eq=False, repr=False)
+class Sensitivity(Short):
     """Errors of a model with one parameter changed at a time.
 
     Attributes:
@@ -51,6 +56,20 @@ class Sensitivity:
     base: Array
     local: Array
     engine: Engine
+
+    def told(self) -> str:
+        """The parameters that matter most."""
+        return f" of {self.model.name} to {counted(len(self.names), 'parameter')}: most to {', '.join(self.names[:3])}"
+
+    def to_dataframe(self) -> DataFrame:
+        """A row for each parameter, the most sensitive first: what 1 % of it changes in each joint [rad or m].
+
+        Raises:
+            NotAvailable: where pandas is not installed.
+        """
+        joints = {name: self.local[:, j] for j, name in enumerate(self.model.robot.joint_names)}
+        own = {"parameter": list(self.names), "unit": list(self.units), "reference": self.reference}
+        return dataframe({**own, **joints}, "parameter")
 
     def to_dict(self) -> dict[str, Any]:
         """Plain types; angles in rad, null where there is no number."""

@@ -26,6 +26,7 @@ from equimus_ctrl.models.model import Model
 from equimus_ctrl.models.symbolic import build
 from equimus_ctrl.robots.elastic.morphology import Phase, structure
 from equimus_ctrl.robots.mechanics import Structure
+from equimus_ctrl.shown import Short
 from equimus_ctrl.types import Array
 
 STATIC_KINDS = ("stiffness", "area", "rest_length")
@@ -67,8 +68,8 @@ def static_names(model: Model) -> list[str]:
     return [f"{a.name}.{key}" for key in STATIC_KINDS for a in model.morphology.actuators]
 
 
-@dataclass(frozen=True, eq=False)
-class RestPoses:
+@dataclass(frozen=True, eq=False, repr=False)
+class RestPoses(Short):
     """Where a model rests under given pressures.
 
     Attributes:
@@ -136,8 +137,8 @@ def rest_poses(model: Model, pressure: Array, guess: Array) -> RestPoses:
     return RestPoses(position, q, found, still & ~stable, by_parameter * sensor[:, SCALE][None, :, None])
 
 
-@dataclass(frozen=True, eq=False)
-class StaticFit:
+@dataclass(frozen=True, eq=False, repr=False)
+class StaticFit(Short):
     """Parameters found from poses at rest.
 
     Attributes:

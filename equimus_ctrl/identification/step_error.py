@@ -53,7 +53,7 @@ def with_step_error(
     return replace(
         fit,
         derive=lambda: fit.derivatives,
-        known=cache(lambda: replace(fit.uncertainty, half_width=fit.uncertainty.half_width + more)),
+        known=cache(lambda: replace(fit.uncertainty, half_width=fit.uncertainty.half_width + more, step_error=more)),
     )
 
 

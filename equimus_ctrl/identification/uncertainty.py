@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from scipy.special import stdtrit
 
 from equimus_ctrl.identification.projection import Nuisance
+from equimus_ctrl.shown import Short
 from equimus_ctrl.types import Array
 
 UNSEEN = 1e-6
@@ -51,8 +52,8 @@ class TradeOff:
         return f"changing {change} at once makes hardly any difference (correlation {self.correlation:+.3f})"
 
 
-@dataclass(frozen=True, eq=False)
-class Uncertainty:
+@dataclass(frozen=True, eq=False, repr=False)
+class Uncertainty(Short):
     """What the residuals say of the parameters.
 
     Attributes:
@@ -61,6 +62,11 @@ class Uncertainty:
         correlation: (p, p); nan where a parameter is not identifiable.
         trade_offs: strongest first.
         effective_samples: how many independent residuals the coloured ones are worth.
+        covariance: (p, p) the sandwich of which ``standard_error`` is the diagonal's root; inf on the diagonal and nan
+            beside it where a parameter is not identifiable [products of the parameters' units].
+        factor: of the standard errors in the intervals, Student's t.
+        step_error: (p,) what is added to the intervals for the error of the physics step [unit of each parameter];
+            None where nothing is.
     """
 
     standard_error: Array
@@ -68,6 +74,9 @@ class Uncertainty:
     correlation: Array
     trade_offs: tuple[TradeOff, ...]
     effective_samples: float
+    covariance: Array
+    factor: float
+    step_error: Array | None = None
 
     def statistic(self, which: Sequence[int], away: Array) -> float:
         """Wald's δᵀC⁻¹δ of some parameters, χ² with as many degrees of freedom where they truly are that far off.
@@ -189,18 +198,23 @@ def uncertainty(
     started = sum(n.shape[2] for n in nuisances)
     freedom = effective - p - started / time
     if freedom < 1:
+        covariance = np.full((p, p), np.nan)
         error = np.full(p, np.inf)
         t = np.inf
     else:
-        covariance = inverse @ meat @ inverse * (effective / freedom)
-        error = np.where(known.hidden, np.inf, np.sqrt(np.maximum(np.diag(covariance), 0.0)) * scale)
+        scaled = inverse @ meat @ inverse * (effective / freedom)
+        error = np.where(known.hidden, np.inf, np.sqrt(np.maximum(np.diag(scaled), 0.0)) * scale)
+        covariance = np.where(known.hidden[:, None] | known.hidden, np.nan, scaled * np.outer(scale, scale))
         t = float(stdtrit(freedom, 0.5 + confidence / 2))
+    np.fill_diagonal(covariance, error**2)
     return Uncertainty(
         error,
         np.where(np.isinf(error), np.inf, t * error),
         known.correlation,
         known.trade_offs,
         effective,
+        covariance,
+        t,
     )
 
 

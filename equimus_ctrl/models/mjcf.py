@@ -223,6 +223,11 @@ def build_spec(morphology: Morphology, phase: Phase = "swing", settings: SolverS
 
     In stance the base slides freely in the plane and keeps its orientation, and an equality pins the foot to the
     world's site ``foothold``.
+
+    Args:
+        morphology: the robot.
+        phase: base fixed or foot pinned.
+        settings: of MuJoCo's solver; its physics step among them.
     """
     settings = settings or SolverSettings()
     settings.check()
@@ -320,6 +325,11 @@ def compile_model(
     A stop is a joint limit of the least impedance d MuJoCo allows: its force d·(k r + b v − a)/A is then that of a
     one-sided spring and damper, but for the share d of what the bare acceleration a would need. A joint limit has one
     k and one b, so where a joint's stops differ the upper one is the limit of a fixed tendon over that joint.
+
+    Args:
+        morphology: the robot.
+        phase: base fixed or foot pinned.
+        settings: of MuJoCo's solver.
     """
     spec = build_spec(morphology, phase, settings)
     model = compile_with_stops(spec, morphology)
@@ -388,6 +398,10 @@ def _limit(spec: mujoco.MjSpec, joint: Joint) -> None:
 
 def close_elements(model: mujoco.MjModel, data: mujoco.MjData) -> None:
     """Set the joints of all 3-2-1 elements so that their ends meet, for the skeleton's current qpos and qvel.
+
+    Args:
+        model: compiled, of a morphology.
+        data: its state, changed in place.
 
     Raises:
         ModelError: where an element's two ends lie on the same spot.

@@ -30,6 +30,7 @@ from equimus_ctrl.robots.elastic.leg import MORPHOLOGIES, nominal_leg
 from equimus_ctrl.robots.elastic.morphology import Morphology, Phase, elastic_of
 from equimus_ctrl.robots.mjcf.editing import Edits
 from equimus_ctrl.robots.mjcf.robot import MjcfRobot
+from equimus_ctrl.shown import Short, listed
 
 FORMAT = "equimus-ctrl/model/1"
 
@@ -37,8 +38,8 @@ GroupValues = tuple[tuple[str, tuple[tuple[str, float], ...]], ...]
 """For each group of trials the parameters that are others there, by dotted name."""
 
 
-@dataclass(frozen=True)
-class Model:
+@dataclass(frozen=True, repr=False)
+class Model(Short):
     """A robot with effects attached.
 
     Attributes:
@@ -62,6 +63,16 @@ class Model:
         if self.phase not in get_args(Phase):
             raise ConfigError(unknown_name("phase", str(self.phase), get_args(Phase), self.robot.name))
         self.robot.check(self.effects)
+
+    def told(self) -> str:
+        """Joints, actuators and effects."""
+        robot, effects = self.robot, [f"{own.name} at {own.location}" for own in self.effects]
+        parts = (
+            listed(robot.joint_names, "joint"),
+            listed(robot.actuator_names, "actuator"),
+            listed(effects, "effect"),
+        )
+        return f" {self.name}: {', '.join(parts)}" + (f", {self.phase}" if self.phase != "swing" else "")
 
     @property
     def name(self) -> str:

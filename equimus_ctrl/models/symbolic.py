@@ -20,7 +20,12 @@ from equimus_ctrl.robots.mjcf.form import TreeForm
 
 
 def symbolic_model(morphology: Morphology, phase: Phase = "swing") -> SymbolicModel:
-    """The equations of motion of ``morphology``; parameters stay symbols (``SymbolicModel.p``)."""
+    """The equations of motion of a robot; parameters stay symbols (``SymbolicModel.p``).
+
+    Args:
+        morphology: the robot.
+        phase: base fixed or foot pinned.
+    """
     return build(structure(morphology), phase)
 
 

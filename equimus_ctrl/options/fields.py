@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -12,7 +12,7 @@ from equimus_ctrl.options.offers import option
 if TYPE_CHECKING:
     from equimus_ctrl.types import Recording
 
-    Some = Path | str | Iterable[Path | str] | Sequence[Recording]
+    Some = Path | str | Iterable[Path | str | Recording]
     Window = tuple[float, float]
     Bounds = Mapping[str, tuple[float, float]]
 

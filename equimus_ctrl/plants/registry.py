@@ -84,6 +84,10 @@ PLANTS: Registry[PlantEntry] = Registry("plant")
 def register_plant(name: str, entry: PlantEntry) -> None:
     """Make a plant known by a name.
 
+    Args:
+        name: a plain one.
+        entry: how it is made, and what is said of it.
+
     Raises:
         ConfigError: where the name is another's or no plain name.
     """

@@ -21,6 +21,7 @@ from equimus_ctrl.proof.estimates import (
 from equimus_ctrl.proof.shares import Share
 from equimus_ctrl.proof.tally import Tally, confusion, tally
 from equimus_ctrl.robots.base import Robot
+from equimus_ctrl.shown import Short
 
 SCHEMA = "equimus-ctrl/proof-score/1"
 MOST_FALSE_ALARMS = 0.01
@@ -30,8 +31,10 @@ COVERAGE = (0.90, 0.98)
 LEAST_HELD_OUT = 0.8
 MOST_SECONDS = 60.0
 
-State = Literal["met", "missed", "open"]
-"""Open is what so few cases cannot decide: off the goal, but the 95 % interval reaches it, or there was no case."""
+State = Literal["met", "missed", "open", "too few"]
+"""Of so many cases as there are: missed, where the 95 % interval lies off the goal; too few, where not even the best
+outcome would have its interval within the goal, so that nothing can be claimed; else met, or open where the figure is
+off the goal and its interval reaches it."""
 
 
 @dataclass(frozen=True)
@@ -61,12 +64,15 @@ class Goal:
     @property
     def state(self) -> State:
         """Whether it is met."""
-        if not self.share.of:
-            return "open"
-        if self.low <= self.value <= self.high:
-            return "met"
+        within = self.low <= self.value <= self.high
+        if not self.judged:  # it is of these cases, not of all that there could be
+            return "met" if within else "missed"
         low, high = self.share.interval
-        return "missed" if high < self.needed[0] or low > self.needed[1] else "open"
+        if self.share.of and (high < self.needed[0] or low > self.needed[1]):
+            return "missed"
+        if not self.share.can_show(*self.needed):
+            return "too few"
+        return "met" if within else "open"
 
     def to_dict(self) -> dict[str, Any]:
         """As JSON data."""
@@ -100,8 +106,8 @@ class Effort:
         }
 
 
-@dataclass(frozen=True, eq=False)
-class Score:
+@dataclass(frozen=True, eq=False, repr=False)
+class Score(Short):
     """What a proof came to.
 
     Attributes:
@@ -121,6 +127,13 @@ class Score:
     heldout: tuple[HeldOut, ...]
     effort: Effort
     robots: Robots = "elastic"
+
+    def told(self) -> str:
+        """How many cases, and which goals are met."""
+        by_state: dict[str, int] = {}
+        for goal in self.goals:
+            by_state[goal.state] = by_state.get(goal.state, 0) + 1
+        return f" of {len(self.cases)} cases: goals " + ", ".join(f"{n} {state}" for state, n in by_state.items())
 
     @property
     def ours(self) -> Tally:

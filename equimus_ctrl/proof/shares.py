@@ -46,6 +46,11 @@ class Share:
         low = 0.0 if self.count == 0 else centre - width
         return low, 1.0 if self.count == n else centre + width
 
+    def can_show(self, low: float, high: float) -> bool:
+        """Whether some outcome of so many has its interval between two shares."""
+        outcomes = (Share(count, self.of) for count in range(math.ceil(low * self.of), math.floor(high * self.of) + 1))
+        return self.of > 0 and any(low <= ends[0] and ends[1] <= high for ends in (own.interval for own in outcomes))
+
     def __str__(self) -> str:
         """For people, such as ``97.5 % (39/40)``."""
         return f"{100 * self.value:.1f} % ({self.count}/{self.of})" if self.of else "–"

@@ -17,10 +17,10 @@ from typing import Any
 
 import numpy as np
 
-from equimus_ctrl.errors import RecordingError
+from equimus_ctrl.errors import RecordingError, needs
 from equimus_ctrl.recordings.assemble import elements
 from equimus_ctrl.recordings.exported import Exported
-from equimus_ctrl.recordings.logs import Loaded, Log, Table, Wanted, needs, reading, stem
+from equimus_ctrl.recordings.logs import Loaded, Log, Table, Wanted, reading, stem
 from equimus_ctrl.recordings.mapping import Mapping as ColumnMapping
 from equimus_ctrl.recordings.mapping import Source
 from equimus_ctrl.recordings.messages import NANO, columns_of, stamp_of

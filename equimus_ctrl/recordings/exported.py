@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 
 from equimus_ctrl.presets import plain_name
 from equimus_ctrl.recordings import csvfile
+from equimus_ctrl.shown import Short
 from equimus_ctrl.types import Array, Recording
 
 GROUPS = {"cmd": "command", "pos": "measured/position", "vel": "measured/velocity", "meas": "measured/actuator"}
@@ -15,8 +16,8 @@ LIBRARY = "equimus-ctrl"
 """Who wrote a file."""
 
 
-@dataclass(frozen=True, eq=False)
-class Prediction:
+@dataclass(frozen=True, eq=False, repr=False)
+class Prediction(Short):
     """What a model predicts of a trial.
 
     Attributes:
@@ -28,8 +29,8 @@ class Prediction:
     position: Array
 
 
-@dataclass(frozen=True, eq=False)
-class Exported:
+@dataclass(frozen=True, eq=False, repr=False)
+class Exported(Short):
     """A trial and what models predict of it.
 
     Attributes:

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from equimus_ctrl.errors import EquimusError, NotAvailable, RecordingError, nearest, one_line
+from equimus_ctrl.errors import EquimusError, RecordingError, nearest, one_line
 from equimus_ctrl.recordings.messages import Stamps
 
 MOST_NAMED = 12
@@ -241,10 +241,3 @@ def reading(path: Path, what: str) -> Iterator[None]:
     except Exception as error:
         why = one_line(str(error))[:200] or type(error).__name__
         raise RecordingError(f"{path}: is no {what} that can be read ({why})") from None
-
-
-def needs(package: str, extra: str, what: str) -> NotAvailable:
-    """The error where a library is not installed."""
-    return NotAvailable(
-        f"{what} needs the {package} library, which is not installed; get it with: pip install 'equimus-ctrl[{extra}]'"
-    )

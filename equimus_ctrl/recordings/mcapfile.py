@@ -18,11 +18,11 @@ from typing import Any
 
 import numpy as np
 
-from equimus_ctrl.errors import RecordingError
+from equimus_ctrl.errors import RecordingError, needs
 from equimus_ctrl.presets import check_regular, write_bytes
 from equimus_ctrl.recordings import bags
 from equimus_ctrl.recordings.exported import LIBRARY, Exported
-from equimus_ctrl.recordings.logs import Loaded, Log, Table, needs, notes_in, reading
+from equimus_ctrl.recordings.logs import Loaded, Log, Table, notes_in, reading
 from equimus_ctrl.recordings.messages import NANO, columns_of, stamp_of
 from equimus_ctrl.types import Array
 

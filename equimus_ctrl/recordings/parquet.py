@@ -18,10 +18,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from equimus_ctrl.errors import RecordingError
+from equimus_ctrl.errors import RecordingError, needs
 from equimus_ctrl.presets import check_regular, write_bytes
 from equimus_ctrl.recordings.assemble import elements
-from equimus_ctrl.recordings.logs import Log, Table, Wanted, flat, needs, notes_in, reading
+from equimus_ctrl.recordings.logs import Log, Table, Wanted, flat, notes_in, reading
 from equimus_ctrl.recordings.mapping import Mapping as ColumnMapping
 from equimus_ctrl.recordings.mapping import Source
 

@@ -8,9 +8,9 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from equimus_ctrl.errors import needs
 from equimus_ctrl.presets import write_bytes
 from equimus_ctrl.recordings.exported import LIBRARY, Exported
-from equimus_ctrl.recordings.logs import needs
 
 
 def write_rerun(path: Path, trials: Sequence[Exported]) -> None:

@@ -18,6 +18,7 @@ from equimus_ctrl.errors import RecordingError
 from equimus_ctrl.recordings import checks
 from equimus_ctrl.recordings.checks import LEG, Limits
 from equimus_ctrl.recordings.sheet import PathLike, Sheet, number, open_sheet
+from equimus_ctrl.shown import Short
 from equimus_ctrl.types import Array, Recording, frozen_array
 
 JOINTS = ("hip", "knee")
@@ -36,8 +37,8 @@ _SETTLED = 5.0  # deg; see step_release
 _RESTART = 0.1  # s
 
 
-@dataclass(frozen=True, eq=False)
-class StaticPoses:
+@dataclass(frozen=True, eq=False, repr=False)
+class StaticPoses(Short):
     """Joint angles at which the leg came to rest under constant pressures.
 
     Attributes:
@@ -172,6 +173,10 @@ def triangle(sheet: Sheet, limits: Limits = LEG) -> tuple[Recording, ...]:
 
 def read_static_poses(path: PathLike, *, limits: Limits = LEG) -> StaticPoses:
     """Read ``P1 (kPa),P2 (kPa),theta1 (deg),theta2 (deg)``: pressures against the pose at rest.
+
+    Args:
+        path: of the file.
+        limits: what may stand in it.
 
     Raises:
         RecordingError: a column is missing; a number is wrong; a pressure is outside the range; angles look like

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from itertools import product
 
 import numpy as np
@@ -146,10 +147,13 @@ MARKERS = "osD^vP"
 
 def comparison_figures(found: Comparison) -> dict[str, Figure]:
     """``errors`` (RMSE of every controller), ``times`` (of their steps), and one for the motion in each scenario."""
-    figures = {"errors": _errors(found), "times": _times(found)}
-    for name in found.scenarios:
-        figures[f"motion_{name}"] = _motion(found, name)
-    return figures
+    return style.drawn(comparison_drawings(found))
+
+
+def comparison_drawings(found: Comparison) -> style.Drawings:
+    """See ``comparison_figures``."""
+    motions = {f"motion_{name}": partial(_motion, found, name) for name in found.scenarios}
+    return {"errors": lambda: _errors(found), "times": lambda: _times(found), **motions}
 
 
 def _controllers(found: Comparison) -> list[str]:

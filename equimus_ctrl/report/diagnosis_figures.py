@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import textwrap
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from functools import cache
 from itertools import pairwise
 
 import numpy as np
@@ -59,22 +60,26 @@ STEP_SHARE = 0.02
 
 def diagnosis_figures(diagnosis: Diagnosis) -> dict[str, Figure]:
     """Name → figure of everything that was found."""
-    scene = Scene.of(diagnosis)
-    figures = {
-        "summary": summary_figure(diagnosis, scene),
-        "before_after": before_after_figure(diagnosis),
-        "residuals": residuals_figure(diagnosis),
+    return style.drawn(diagnosis_drawings(diagnosis))
+
+
+def diagnosis_drawings(diagnosis: Diagnosis) -> style.Drawings:
+    """See ``diagnosis_figures``."""
+    scene = cache(lambda: Scene.of(diagnosis))
+    drawings: dict[str, Callable[[], Figure | None]] = {
+        "summary": lambda: summary_figure(diagnosis, scene()),
+        "before_after": lambda: before_after_figure(diagnosis),
+        "residuals": lambda: residuals_figure(diagnosis),
     }
-    if diagnosis.splits is not None and diagnosis.splits.effects:
-        figures["splits"] = splits_figure(diagnosis.splits)
+    if (splits := diagnosis.splits) is not None and splits.effects:
+        drawings["splits"] = lambda: splits_figure(splits)
     if diagnosis.ranking:
-        figures["ranking"] = ranking_figure(diagnosis)
+        drawings["ranking"] = lambda: ranking_figure(diagnosis)
     for law in diagnosis_text.grouped(diagnosis.findings):
-        figures[f"finding_{law.first + 1}"] = finding_figure(scene, law)
+        drawings[f"finding_{law.first + 1}"] = lambda law=law: finding_figure(scene(), law)  # type: ignore[misc]
     for k, residual in enumerate(diagnosis.unexplained):
-        if (figure := unexplained_figure(scene, residual)) is not None:
-            figures[f"unexplained_{k + 1}"] = figure
-    return figures
+        drawings[f"unexplained_{k + 1}"] = lambda own=residual: unexplained_figure(scene(), own)  # type: ignore[misc]
+    return drawings
 
 
 # Trials: which are shown, and what was predicted of them.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -56,19 +57,45 @@ class Shown:
 
 def identification_figures(found: Identification) -> dict[str, Figure]:
     """Name → figure of everything that was found."""
-    figures: dict[str, Figure] = {}
-    if found.poses is not None:
-        figures["poses"] = poses_figure(found.poses)
+    return style.drawn(identification_drawings(found))
+
+
+def identification_drawings(found: Identification) -> style.Drawings:
+    """See ``identification_figures``."""
+    drawings: dict[str, Callable[[], Figure]] = {}
+    if (poses := found.poses) is not None:
         names = ("parameters", "correlation") if found.trials is None else ("poses_parameters", "poses_correlation")
-        figures[names[0]] = parameters_figure(found.poses.fit)
-        figures[names[1]] = correlation_figure(found.poses.fit)
-    if found.trials is not None:
-        trials = shown_trials(found.trials)
-        figures["fits"] = fits_figure(found.trials, trials)
-        figures["residuals"] = residuals_figure(found.trials, trials)
-        figures["parameters"] = parameters_figure(found.trials.fit)
-        figures["correlation"] = correlation_figure(found.trials.fit)
-    return figures
+        drawings |= poses_drawings(poses, *names)
+    if (trials := found.trials) is not None:
+        drawings |= trials_drawings(trials)
+    return drawings
+
+
+def poses_drawings(
+    found: IdentifiedPoses, parameters: str = "parameters", correlation: str = "correlation"
+) -> dict[str, Callable[[], Figure]]:
+    """Of what was found from poses at rest.
+
+    Args:
+        found: it.
+        parameters: what that figure is called.
+        correlation: what that one is called.
+    """
+    return {
+        "poses": lambda: poses_figure(found),
+        parameters: lambda: parameters_figure(found.fit),
+        correlation: lambda: correlation_figure(found.fit),
+    }
+
+
+def trials_drawings(found: Identified) -> dict[str, Callable[[], Figure]]:
+    """Of what was found from trials."""
+    return {
+        "fits": lambda: fits_figure(found, shown_trials(found)),
+        "residuals": lambda: residuals_figure(found, shown_trials(found)),
+        "parameters": lambda: parameters_figure(found.fit),
+        "correlation": lambda: correlation_figure(found.fit),
+    }
 
 
 def shown_trials(found: Identified) -> list[Shown]:

@@ -34,15 +34,19 @@ SIDES = {"command": style.JOINT_COLOURS[0], "force": style.JOINT_COLOURS[1], "me
 
 def save_proof_figures(score: Score, folder: Path) -> list[Path]:
     """Write confusion, power, false_alarms, parameters, coverage and heldout as PNG."""
-    figures = {
-        "confusion": confusion_figure(score),
-        "power": power_figure(score),
-        "false_alarms": false_alarms_figure(score),
-        "parameters": parameters_figure(score),
-        "coverage": coverage_figure(score),
-        "heldout": heldout_figure(score),
+    return style.save_all(proof_drawings(score), folder)
+
+
+def proof_drawings(score: Score) -> style.Drawings:
+    """Confusion, power, false alarms, parameters, coverage, held-out error."""
+    return {
+        "confusion": lambda: confusion_figure(score),
+        "power": lambda: power_figure(score),
+        "false_alarms": lambda: false_alarms_figure(score),
+        "parameters": lambda: parameters_figure(score),
+        "coverage": lambda: coverage_figure(score),
+        "heldout": lambda: heldout_figure(score),
     }
-    return [style.save(figure, folder / f"{name}.png") for name, figure in figures.items()]
 
 
 def confusion_figure(score: Score) -> Figure:

@@ -107,7 +107,8 @@ def goals_sheet(score: Score) -> Sheet:
         f"{len(score.cases)} cases: reached and wanted",
         ("", "reached", "95 % interval", "goal", ""),
         (*rows, *((title, value, interval, "", "") for title, value, interval in more)),
-        f"Missing physics counts from an excess residual variance of {STRONG:g} on. Open: undecided with so few cases.",
+        f"Missing physics counts from an excess residual variance of {STRONG:g} on. Open: undecided. Too few: "
+        "so few cases could not show it, however they came out.",
     )
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -122,30 +123,34 @@ def save_run_figures(
     Raises:
         ConfigError: where the run and the kinematics are not of the same robot.
     """
-    pressures = set(run.spec.command_units) == {"Pa"}
-    commands = commands_figure(run, score, label), folder / ("pressures.png" if pressures else "commands.png")
-    site = []
-    if scenario.site is not None:
-        site = [style.save(site_figure(run, scenario.site, score, label), folder / "site_path.png")]
-    if kinematics is None:
-        own, beside = Wanted(run.reference, True), beside_of(run, scenario)
-        return [
-            style.save(joints_figure(run, score, own, beside, label), folder / "joints.png"), style.save(*commands),
-            *site,
-        ]  # fmt: skip
-    m = kinematics.morphology
-    if (run.spec.joints, run.spec.actuators) != (m.joint_names, m.actuator_names):
-        raise ConfigError(
-            f"the run has joints {', '.join(run.spec.joints)} and actuators {', '.join(run.spec.actuators)}, but "
-            f"{m.name} has {', '.join(m.joint_names)} and {', '.join(m.actuator_names)}"
-        )
-    wanted, beside = wanted_of(run, scenario, kinematics), beside_of(run, scenario)
-    return [
-        style.save(joints_figure(run, score, wanted, beside, label), folder / "joints.png"),
-        style.save(foot_path_figure(run, kinematics, wanted, beside, label), folder / "foot_path.png"),
-        style.save(*commands),
-        *site,
-    ]
+    return style.save_all(run_drawings(run, scenario, score, kinematics, label), folder)
+
+
+def run_drawings(
+    run: Run, scenario: Scenario, score: Score, kinematics: Kinematics | None, label: str
+) -> style.Drawings:
+    """See ``save_run_figures``.
+
+    Raises:
+        ConfigError: where the run and the kinematics are not of the same robot.
+    """
+    if kinematics is not None:
+        m = kinematics.morphology
+        if (run.spec.joints, run.spec.actuators) != (m.joint_names, m.actuator_names):
+            raise ConfigError(
+                f"the run has joints {', '.join(run.spec.joints)} and actuators {', '.join(run.spec.actuators)}, but "
+                f"{m.name} has {', '.join(m.joint_names)} and {', '.join(m.actuator_names)}"
+            )
+    wanted = Wanted(run.reference, True) if kinematics is None else wanted_of(run, scenario, kinematics)
+    beside, site = beside_of(run, scenario), scenario.site
+    drawings: dict[str, Callable[[], Figure]] = {"joints": lambda: joints_figure(run, score, wanted, beside, label)}
+    if kinematics is not None:
+        drawings["foot_path"] = lambda: foot_path_figure(run, kinematics, wanted, beside, label)
+    commands = "pressures" if set(run.spec.command_units) == {"Pa"} else "commands"
+    drawings[commands] = lambda: commands_figure(run, score, label)
+    if site is not None:
+        drawings["site_path"] = lambda: site_figure(run, site, score, label)
+    return drawings
 
 
 def wanted_of(run: Run, scenario: Scenario, kinematics: Kinematics) -> Wanted:

@@ -25,7 +25,16 @@ TITLE_CHARACTERS = 8.2
 
 def sensitivity_figures(found: Sensitivity) -> dict[str, Figure]:
     """Name → figure: the map of all parameters, the curves of those that matter most, and the local effects."""
-    return {"map": map_figure(found), "curves": curves_figure(found), "local": local_figure(found)}
+    return style.drawn(sensitivity_drawings(found))
+
+
+def sensitivity_drawings(found: Sensitivity) -> style.Drawings:
+    """See ``sensitivity_figures``."""
+    return {
+        "map": lambda: map_figure(found),
+        "curves": lambda: curves_figure(found),
+        "local": lambda: local_figure(found),
+    }
 
 
 def map_figure(found: Sensitivity) -> Figure:

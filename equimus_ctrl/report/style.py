@@ -6,7 +6,7 @@ Figures are built with matplotlib's objects and drawn by Agg; nothing global is 
 from __future__ import annotations
 
 import io
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +17,9 @@ from matplotlib.figure import Figure
 from matplotlib.legend import Legend
 
 from equimus_ctrl.presets import write_bytes
+
+Drawings = Mapping[str, Callable[[], Figure | None]]
+"""Name → what draws that figure; None where there is nothing to draw after all."""
 
 JOINT_COLOURS = ("#0072B2", "#D55E00", "#009E73", "#AA4499")
 ACTUATOR_COLOURS = ("#E69F00", "#56B4E9", "#117733", "#882255", "#999933", "#332288")
@@ -121,6 +124,17 @@ def _columns(widths: Sequence[int], room: float) -> int:
         if sum(int(part.max()) for part in parts) <= room:
             return columns
     return 1
+
+
+def drawn(drawings: Drawings) -> dict[str, Figure]:
+    """Name → figure of all that there is to draw."""
+    figures = {name: draw() for name, draw in drawings.items()}
+    return {name: figure for name, figure in figures.items() if figure is not None}
+
+
+def save_all(drawings: Drawings, folder: Path) -> list[Path]:
+    """Write each as PNG of its name."""
+    return [save(figure, folder / f"{name}.png") for name, figure in drawn(drawings).items()]
 
 
 def save(figure: Figure, path: Path) -> Path:

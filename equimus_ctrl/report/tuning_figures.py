@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -39,12 +39,20 @@ LINES: tuple[tuple[float, Sequence[float]], ...] = ((0, ()), (0, (1, 1)), (0, (4
 
 def save_tuning_figures(result: TuningResult, folder: Path) -> list[Path]:
     """Write convergence.png, response.png and robustness.png."""
-    figures = {"convergence": convergence_figure(result)}
+    return style.save_all(tuning_drawings(result), folder)
+
+
+def tuning_drawings(result: TuningResult) -> style.Drawings:
+    """Convergence, response, robustness."""
+    found: dict[str, Callable[[], Figure]] = {"convergence": lambda: convergence_figure(result)}
     if isinstance(result, PlantTuning):
-        figures |= {"response": plant_response_figure(result), "robustness": plant_robustness_figure(result)}
+        found |= {
+            "response": lambda: plant_response_figure(result),
+            "robustness": lambda: plant_robustness_figure(result),
+        }
     else:
-        figures |= {"response": response_figure(result), "robustness": robustness_figure(result)}
-    return [style.save(figure, folder / f"{name}.png") for name, figure in figures.items()]
+        found |= {"response": lambda: response_figure(result), "robustness": lambda: robustness_figure(result)}
+    return found
 
 
 def convergence_figure(result: TuningResult) -> Figure:

@@ -30,16 +30,19 @@ LEAST = 1e-12
 
 def save_validation_figures(result: Validation, folder: Path) -> list[Path]:
     """Write static_map, swing_errors, responses, morphologies, conservation and, where there is one, front as PNG."""
-    figures = {
-        "static_map": static_figure(result),
-        "swing_errors": swing_figure(result),
-        "responses": responses_figure(result),
-        "morphologies": morphologies_figure(result),
-        "conservation": conservation_figure(result),
+    return style.save_all(validation_drawings(result), folder)
+
+
+def validation_drawings(result: Validation) -> style.Drawings:
+    """Poses at rest, step responses and their errors, random robots, conservation; speed over error where known."""
+    return {
+        "static_map": lambda: static_figure(result),
+        "swing_errors": lambda: swing_figure(result),
+        "responses": lambda: responses_figure(result),
+        "morphologies": lambda: morphologies_figure(result),
+        "conservation": lambda: conservation_figure(result),
+        **({"front": lambda: front_figure(result)} if result.speed.front else {}),
     }
-    if result.speed.front:
-        figures["front"] = front_figure(result)
-    return [style.save(figure, folder / f"{name}.png") for name, figure in figures.items()]
 
 
 def static_figure(result: Validation) -> Figure:

@@ -13,6 +13,7 @@ import numpy as np
 from equimus_ctrl.effects import base as effects_base
 from equimus_ctrl.effects.base import Effect, Robots
 from equimus_ctrl.robots.mechanics import Mechanics
+from equimus_ctrl.shown import Short, listed
 from equimus_ctrl.types import Array, frozen_array
 
 Need = Literal["lengths", "inverse"]
@@ -86,8 +87,8 @@ class RobotTraits:
     usual_delay: float
 
 
-@dataclass(frozen=True, eq=False)
-class Robot(ABC):
+@dataclass(frozen=True, eq=False, repr=False)
+class Robot(Short, ABC):
     """A robot: its joints and actuators, its parameters by dotted name, and where effects can be attached.
 
     A subclass is a frozen dataclass with joints and actuators, each in the order of every vector of theirs.
@@ -106,6 +107,10 @@ class Robot(ABC):
 
         @property
         def actuators(self) -> tuple[_Named, ...]: ...
+
+    def told(self) -> str:
+        """Joints and actuators."""
+        return f" {self.name}: {listed(self.joint_names, 'joint')}, {listed(self.actuator_names, 'actuator')}"
 
     def __getstate__(self) -> dict[str, Any]:
         # What was worked out is worked out again elsewhere.

@@ -64,7 +64,12 @@ def position_word(units: Iterable[str]) -> str:
 
 
 def shown_pose(pose: ArrayLike, units: Iterable[str]) -> str:
-    """A pose (nj,) as people read it, with the unit of each joint."""
+    """A pose as people read it, with the unit of each joint.
+
+    Args:
+        pose: (nj,) [rad or m].
+        units: SI, of each joint.
+    """
     values = np.asarray(pose, dtype=np.float64).tolist()
     return "(" + ", ".join(reading(unit).text(value) for value, unit in zip(values, units, strict=True)) + ")"
 

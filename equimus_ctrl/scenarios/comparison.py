@@ -4,19 +4,24 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
+from equimus_ctrl.frames import dataframe
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.robots.reading import by_unit
 from equimus_ctrl.scenarios.scenario import Scenario
 from equimus_ctrl.scenarios.scoring import ErrorFigures, Score
+from equimus_ctrl.shown import Short, by_name, counted
 from equimus_ctrl.types import Array, Run
+
+if TYPE_CHECKING:
+    from pandas import DataFrame
 
 SCHEMA = "equimus-ctrl/comparison/1"
 
 
-@dataclass(frozen=True, eq=False)
-class Condition:
+@dataclass(frozen=True, eq=False, repr=False)
+class Condition(Short):
     """A robot, and what its controllers know of it.
 
     Attributes:
@@ -34,8 +39,8 @@ class Condition:
     noise: float
 
 
-@dataclass(frozen=True, eq=False)
-class Entry:
+@dataclass(frozen=True, eq=False, repr=False)
+class Entry(Short):
     """One controller in one scenario under one condition.
 
     Attributes:
@@ -59,6 +64,13 @@ class Entry:
     missed: float
     fallbacks: float
     failure: str = ""
+
+    def told(self) -> str:
+        """What was driven, and its error."""
+        if self.error is None or self.run is None:
+            return f" {self.controller}, {self.scenario}, {self.condition}: {self.failure}"
+        error = by_name(self.run.spec.joints, self.error.rmse)
+        return f" {self.controller}, {self.scenario}, {self.condition}: RMSE {error} rad or m"
 
     def to_dict(self) -> dict[str, Any]:
         """Plain JSON types, SI units."""
@@ -85,8 +97,8 @@ class Entry:
         }
 
 
-@dataclass(frozen=True, eq=False)
-class Comparison:
+@dataclass(frozen=True, eq=False, repr=False)
+class Comparison(Short):
     """All entries.
 
     Attributes:
@@ -102,6 +114,36 @@ class Comparison:
     conditions: tuple[Condition, ...]
     entries: tuple[Entry, ...]
     seed: int
+
+    def told(self) -> str:
+        """What was compared."""
+        controllers = dict.fromkeys(entry.controller for entry in self.entries)
+        return (
+            f" on {self.model.name}: {', '.join(controllers)} in {', '.join(self.scenarios)} under "
+            f"{counted(len(self.conditions), 'condition')}"
+            + (f", {len(self.failures)} failed" if self.failures else "")
+        )
+
+    def to_dataframe(self) -> DataFrame:
+        """A row for each entry: RMSE of each joint's true position [rad or m], largest error, what else is counted.
+
+        Raises:
+            NotAvailable: where pandas is not installed.
+        """
+        joints, rows = self.model.robot.joint_names, []
+        for own in self.entries:
+            row: dict[str, Any] = {
+                "scenario": own.scenario,
+                "condition": own.condition,
+                "controller": own.controller,
+                "failure": own.failure,
+            }
+            if own.error is not None and own.score is not None:
+                row |= {f"rmse.{j}": v for j, v in zip(joints, own.error.rmse.tolist(), strict=True)}
+                row |= {f"largest.{j}": v for j, v in zip(joints, own.error.largest.tolist(), strict=True)}
+                row |= {"saturated": own.score.saturated, "missed": own.missed, "fallbacks": own.fallbacks}
+            rows.append(row)
+        return dataframe(rows)
 
     @property
     def failures(self) -> tuple[Entry, ...]:

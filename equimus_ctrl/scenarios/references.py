@@ -96,6 +96,11 @@ THERE, ADJACENT = 1e-11, 0.3
 def pose_of_foot(kinematics: Kinematics, foot: ArrayLike, near: ArrayLike) -> Array:
     """(nj,) the pose closest to ``near`` [rad] that puts the foot at ``foot`` (2,) [m], within the joint ranges.
 
+    Args:
+        kinematics: of the robot.
+        foot: where the foot is to be.
+        near: (nj,) the search begins there.
+
     Raises:
         ConfigError: where no pose in the joint ranges reaches it to a micrometre.
     """
@@ -128,6 +133,11 @@ def pose_of_foot(kinematics: Kinematics, foot: ArrayLike, near: ArrayLike) -> Ar
 
 def poses_of_foot(kinematics: Kinematics, feet: ArrayLike, near: ArrayLike) -> Array:
     """(n, nj) poses that put the foot at ``feet`` (n, 2) [m], one close to the other, the first to ``near`` [rad].
+
+    Args:
+        kinematics: of the robot.
+        feet: where the foot is to be, one after the other.
+        near: (nj,) the search begins there.
 
     Raises:
         ConfigError: where no pose in the joint ranges reaches one of them to a micrometre, or for another shape.

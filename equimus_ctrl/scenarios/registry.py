@@ -45,6 +45,10 @@ SCENARIOS: Registry[ScenarioEntry] = Registry("scenario")
 def register_scenario(name: str, build: Callable[..., Scenario]) -> None:
     """Make a scenario known by a name, beside the scripts under ``scenarios/``; its docstring is what lists say.
 
+    Args:
+        name: a plain one.
+        build: makes it of a ``ScenarioContext`` and of options by their names.
+
     Raises:
         ConfigError: where the name is another's or no plain name.
     """

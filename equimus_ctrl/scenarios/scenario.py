@@ -17,6 +17,7 @@ from equimus_ctrl.scenarios.context import POSITION, out_of_range
 from equimus_ctrl.scenarios.context import CommandProfile as CommandProfile
 from equimus_ctrl.scenarios.context import ScenarioContext as ScenarioContext
 from equimus_ctrl.scenarios.site_path import SitePath
+from equimus_ctrl.shown import Short
 from equimus_ctrl.types import Array, Recording, Reference, Start
 
 OPTION = "option."
@@ -55,8 +56,8 @@ class Arrival:
         return np.array([own.get(unit, self.slide) / reading(unit).factor for unit in units])
 
 
-@dataclass(frozen=True, eq=False)
-class Scenario:
+@dataclass(frozen=True, eq=False, repr=False)
+class Scenario(Short):
     """One thing to do with a robot, and how it is judged.
 
     Attributes:

@@ -8,6 +8,7 @@ import numpy as np
 
 from equimus_ctrl.errors import ConfigError
 from equimus_ctrl.scenarios.scenario import Scenario
+from equimus_ctrl.shown import Short
 from equimus_ctrl.types import Array, PlantSpec, Run
 
 
@@ -130,8 +131,8 @@ def off_reference(position: Array, wanted: Array, spec: PlantSpec, scenario: Sce
     return np.where(endless, off - 2 * np.pi * np.round(off / (2 * np.pi)), off)
 
 
-@dataclass(frozen=True, eq=False)
-class Score:
+@dataclass(frozen=True, eq=False, repr=False)
+class Score(Short):
     """Figures of one run.
 
     Attributes:
@@ -166,6 +167,10 @@ def on_grid(time: Array, values: Array, grid: Array) -> Array:
 
 def score_run(run: Run, scenario: Scenario) -> Score:
     """Score a run over the scenario's window, on its grid.
+
+    Args:
+        run: what happened.
+        scenario: what was to be done.
 
     Raises:
         ConfigError: where the window holds no sample.

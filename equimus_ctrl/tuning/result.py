@@ -13,6 +13,7 @@ import numpy as np
 
 from equimus_ctrl.executors.versions import processor
 from equimus_ctrl.models.model import model_to_dict
+from equimus_ctrl.shown import Short
 from equimus_ctrl.tuning.objective import Evaluation
 from equimus_ctrl.tuning.search import Trial
 from equimus_ctrl.tuning.stability import Margins
@@ -57,8 +58,8 @@ def summed(found: Sequence[Evaluation]) -> dict[str, float]:
     return {"median": float(np.median(costs)), "worst": max(costs)} if costs else {}
 
 
-@dataclass(frozen=True, eq=False)
-class TuningResult:
+@dataclass(frozen=True, eq=False, repr=False)
+class TuningResult(Short):
     """What a study found.
 
     Attributes:

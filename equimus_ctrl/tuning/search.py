@@ -24,6 +24,7 @@ from scipy.optimize import minimize
 
 from equimus_ctrl.controllers.search_space import Range
 from equimus_ctrl.models.spread import latin_hypercube
+from equimus_ctrl.shown import Short
 from equimus_ctrl.tuning.objective import Evaluation
 from equimus_ctrl.tuning.study import AnyStudy
 from equimus_ctrl.types import Array
@@ -55,8 +56,8 @@ class Journal(Protocol):
         ...
 
 
-@dataclass(frozen=True, eq=False)
-class Trial:
+@dataclass(frozen=True, eq=False, repr=False)
+class Trial(Short):
     """One candidate that was tried.
 
     Attributes:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -13,8 +13,10 @@ from equimus_ctrl.effects.bodies import BodyEffect, changed_bodies
 from equimus_ctrl.engines.batch import compile_kernel
 from equimus_ctrl.engines.mujoco_batch import FAST_SETTINGS
 from equimus_ctrl.errors import ConfigError
+from equimus_ctrl.frames import dataframe
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.robots.elastic.morphology import Morphology, structure
+from equimus_ctrl.shown import Short
 from equimus_ctrl.types import Array
 from equimus_ctrl.validation.conservation import ConservationResult, conservation_case
 from equimus_ctrl.validation.engines import Progress
@@ -42,6 +44,9 @@ from equimus_ctrl.validation.robots import RobotsResult, robots_case, three_dof_
 from equimus_ctrl.validation.speed import SpeedResult, speed_case
 from equimus_ctrl.validation.static import StaticResult, native_static, static_case
 
+if TYPE_CHECKING:
+    from pandas import DataFrame
+
 SCHEMA = "equimus-ctrl/validation/1"
 BASELINE_RUNS = 1000
 """Poses and step responses that the baseline gets, at most; its errors need no more to be seen."""
@@ -50,8 +55,8 @@ Notify = Callable[[str, float, float | None], None]
 """Called with a stage of ``plan.STAGES``, the share of it done, and the worst joint's RMSE so far [rad] where known."""
 
 
-@dataclass(frozen=True, eq=False)
-class Baseline:
+@dataclass(frozen=True, eq=False, repr=False)
+class Baseline(Short):
     """Native massless actuators on the same cases.
 
     Attributes:
@@ -90,8 +95,8 @@ class Goal:
     met: bool
 
 
-@dataclass(frozen=True, eq=False)
-class Validation:
+@dataclass(frozen=True, eq=False, repr=False)
+class Validation(Short):
     """All that was found.
 
     Attributes:
@@ -121,6 +126,27 @@ class Validation:
     conservation: ConservationResult
     baseline: Baseline
     speed: SpeedResult
+
+    def told(self) -> str:
+        """Whether goals are met, and the errors of the first cases."""
+        missed = [goal.name for goal in self.accuracy if not goal.met]
+        judged = f"missed {', '.join(missed)}" if missed else "every goal of accuracy met"
+        static, swing = (float(self.errors[name].rmse.max()) for name in ("static", "swing"))
+        return f" of {self.morphology.name}: {judged}; RMSE at rest {static:.1e} rad, in step responses {swing:.1e} rad"
+
+    def to_dataframe(self) -> DataFrame:
+        """A row for each case and joint: runs, RMSE and largest error against the exact equations [rad].
+
+        Raises:
+            NotAvailable: where pandas is not installed.
+        """
+        columns = ("case", "joint", "runs", "rmse", "largest")
+        rows = [
+            (case, j, own.runs, float(rmse), float(largest))
+            for case, own in self.errors.items()
+            for j, (rmse, largest) in enumerate(zip(own.rmse, own.largest, strict=True))
+        ]
+        return dataframe({name: [row[k] for row in rows] for k, name in enumerate(columns)})
 
     @property
     def errors(self) -> dict[str, Errors]:

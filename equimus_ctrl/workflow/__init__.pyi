@@ -1,13 +1,15 @@
 # What `equimus_ctrl.workflow` offers; read at run time too, so this list is the only one.
-from .check import check as check
+# No module here has the name of a function: the one would hide the other once both are imported.
+from .checks import Check as Check, check as check
 from .comparisons import compare as compare
-from .diagnose import diagnose_recordings as diagnose_recordings
+from .diagnoses import diagnose as diagnose
 from .exports import (
     Export as Export,
     Written as Written,
     export_model as export_model,
     mjcf_of_model as mjcf_of_model,
 )
+from .figures import figure as figure, figures as figures
 from .hardware import (
     check_hardware as check_hardware,
     import_bag as import_bag,
@@ -15,17 +17,24 @@ from .hardware import (
     measure_delay as measure_delay,
     with_valve_delays as with_valve_delays,
 )
-from .identify import (
-    identify_files as identify_files,
+from .identifications import (
+    identify as identify,
     identify_poses as identify_poses,
     identify_recordings as identify_recordings,
-    sensitivity_of as sensitivity_of,
+    sensitivity as sensitivity,
     simulator_of as simulator_of,
 )
+from .linearisations import Linearised as Linearised, linearise as linearise
+from .listings import Listing as Listing, list_names as list_names
 from .logs import (
+    check_recordings as check_recordings,
     export_recordings as export_recordings,
+    fetch_recordings as fetch_recordings,
     read_recording as read_recording,
+    read_recordings as read_recordings,
     recorded_models as recorded_models,
+    write_recording as write_recording,
+    write_recordings as write_recordings,
 )
 from .mjcf import (
     FreeParameterFile as FreeParameterFile,
@@ -44,7 +53,8 @@ from .models import (
     save_model as save_model,
 )
 from .plugins import load_plugins as load_plugins
-from .prove import Proof as Proof, put_to_proof as put_to_proof
+from .proofs import Proof as Proof, prove as prove
+from .reports import write_report as write_report, write_video as write_video
 from .runs import (
     ScenarioRun as ScenarioRun,
     load_controller as load_controller,
@@ -58,6 +68,7 @@ from .scores import (
     RecordingsScore as RecordingsScore,
     TrialScore as TrialScore,
     gather as gather,
-    score_recordings as score_recordings,
+    score as score,
 )
-from .tuning import Tuned as Tuned, autotune as autotune, tune_pid as tune_pid
+from .tuning import Tuned as Tuned, TunedFiles as TunedFiles, tune as tune, tune_into as tune_into
+from .validations import validate as validate

@@ -26,6 +26,7 @@ from equimus_ctrl.models.model import Model, nominal_model
 from equimus_ctrl.options import ExportOptions, with_changes
 from equimus_ctrl.robots.elastic.morphology import Morphology, Phase
 from equimus_ctrl.robots.mjcf.export import copy_numbers, exported, fill_keyframes, finish, with_comment
+from equimus_ctrl.shown import Short
 from equimus_ctrl.types import Array
 
 STEPS = (2e-3, 1e-3, 5e-4, 2e-4, 1e-4, 5e-5, 2e-5)
@@ -38,8 +39,8 @@ KEY = "rest"
 """What the keyframe is called in which such a robot rests under its lowest commands."""
 
 
-@dataclass(frozen=True)
-class Written:
+@dataclass(frozen=True, repr=False)
+class Written(Short):
     """A model as MuJoCo's XML.
 
     Attributes:
@@ -58,8 +59,8 @@ class Written:
         return (*_ignored(self.ignored), *(own.label for own in self.unwritten))
 
 
-@dataclass(frozen=True)
-class Export:
+@dataclass(frozen=True, repr=False)
+class Export(Short):
     """A model that was written as a file.
 
     Attributes:
@@ -73,6 +74,11 @@ class Export:
     model: Model
     left_out: tuple[Effect, ...]
     ignored: tuple[str, ...]
+
+    def told(self) -> str:
+        """Of what, and where."""
+        out = f", without {', '.join(_label(own) for own in self.left_out)}" if self.left_out else ""
+        return f" of {self.model.name} to {self.path}{out}"
 
     def to_dict(self) -> dict[str, Any]:
         """What ``export --json`` prints."""

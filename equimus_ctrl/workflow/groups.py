@@ -19,7 +19,7 @@ LEAST_TRIALS = 2
 
 
 def by_folder(
-    recordings: Path | str | Iterable[Path | str] | Sequence[Recording],
+    recordings: Path | str | Iterable[Path | str | Recording],
     model: Model,
     mapping: Mapping | Path | str | None = None,
 ) -> tuple[list[Recording], dict[str, str]]:

@@ -28,7 +28,7 @@ from equimus_ctrl.recordings import write
 from equimus_ctrl.robots.base import Robot
 from equimus_ctrl.robots.reading import reading
 from equimus_ctrl.types import Array, Recording
-from equimus_ctrl.workflow.identify import identify_recordings
+from equimus_ctrl.workflow.identifications import identify_recordings
 
 DEFAULT = "equimus_leg.toml"
 DOMAIN_VARIABLE = "ROS_DOMAIN_ID"

@@ -5,15 +5,27 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Iterable, Sequence
+from collections.abc import Mapping as Table
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from equimus_ctrl import outputs, presets
 from equimus_ctrl.engines.choice import engine_for
 from equimus_ctrl.engines.predict import check_columns, predict
 from equimus_ctrl.errors import ConfigError, RecordingError
 from equimus_ctrl.models.model import Model, model_from_dict, nominal_model
-from equimus_ctrl.recordings import Exported, Limits, Mapping, Prediction, read_set
+from equimus_ctrl.recordings import (
+    Exported,
+    Limits,
+    Mapping,
+    Prediction,
+    Summary,
+    fetch,
+    formats,
+    read_set,
+    summarise,
+    write_set,
+)
 from equimus_ctrl.recordings.bags import write_bag
 from equimus_ctrl.recordings.csvfile import notes_of
 from equimus_ctrl.recordings.layouts import foxglove, plotjuggler
@@ -25,6 +37,9 @@ from equimus_ctrl.robots.mjcf.robot import MjcfRobot
 from equimus_ctrl.types import Recording
 from equimus_ctrl.workflow.mjcf import load_mjcf, mapping_of, read_recorded, wanted_of
 from equimus_ctrl.workflow.scores import gather
+
+if TYPE_CHECKING:
+    from equimus_ctrl.options import Some
 
 NOMINAL, REFITTED, AUGMENTED = "nominal", "refitted", "augmented"
 LAYOUTS = (".foxglove.json", ".plotjuggler.xml")
@@ -67,6 +82,99 @@ def read_recording(
         shown = ", ".join(names[:12]) + ", …" * (len(names) > 12)
         raise RecordingError(f"{path}: there is no trial {trial!r} (known: {shown}); expected one of them as trial")
     return trials[names.index(trial)]
+
+
+def read_recordings(
+    recordings: Some, model: Model | None = None, mapping: Mapping | Path | str | None = None
+) -> tuple[Recording, ...]:
+    """The trials of files and folders, of any format that is known.
+
+    Args:
+        recordings: files, folders or trials.
+        model: of the robot, by whose names columns are found and whose limits hold; the leg's formats without one.
+        mapping: what the columns of files of other formats are, or its file, see ``recordings.mapping``.
+
+    Raises:
+        EquimusError: where one cannot be read.
+    """
+    return tuple(gather(recordings, model, mapping))
+
+
+def check_recordings(
+    recordings: Some, model: Model | None = None, mapping: Mapping | Path | str | None = None
+) -> tuple[Summary, ...]:
+    """What recordings hold: duration, rate, jitter and ranges of each trial; what is odd is warned of.
+
+    ``check`` says what they could show of a model.
+
+    Args:
+        recordings: files, folders or trials.
+        model: see ``read_recordings``.
+        mapping: see ``read_recordings``.
+
+    Raises:
+        EquimusError: where one cannot be read.
+    """
+    return tuple(summarise(trial) for trial in gather(recordings, model, mapping))
+
+
+def write_recording(
+    path: Path | str, recording: Recording, units: Table[str, str] | None = None, *, force: bool = False
+) -> Path:
+    """Write a trial in the format that the name ends in: ``.csv``, ``.npz``, ``.parquet``, ``.mcap`` or ``.rrd``.
+
+    All but the last are read back with every bit.
+
+    Args:
+        path: of the file.
+        recording: the trial.
+        units: column → SI unit, for those who look at it.
+        force: whether a file that is there is replaced.
+
+    Returns:
+        The file written.
+
+    Raises:
+        NotAvailable: where the library of the format is not installed.
+        RecordingError: where the recording is none that could be read back, or the format is not known.
+        ConfigError: where the file is there already, or cannot be written.
+    """
+    path = Path(path)
+    outputs.check_new(path, force)
+    formats.write_recording(path, recording, units)
+    return path
+
+
+def write_recordings(recordings: Some, folder: Path | str, *, force: bool = False) -> tuple[Path, ...]:
+    """Write each trial into a folder, as a CSV file of its name: all of them or none.
+
+    Args:
+        recordings: files, folders or trials, each with a name of its own.
+        folder: made where it does not exist.
+        force: whether files that are there are replaced.
+
+    Returns:
+        The files written.
+
+    Raises:
+        RecordingError: where a file is there already, or the folder cannot be written.
+    """
+    return write_set(gather(recordings), folder, force=force)
+
+
+def fetch_recordings(folder: Path | str | None = None) -> tuple[Path, ...]:
+    """Download the recordings of the real leg; files that are there already are left as they are.
+
+    Args:
+        folder: for the files; the user's data folder by default, where scenarios find them.
+
+    Returns:
+        The files.
+
+    Raises:
+        EquimusError: where they cannot be had, or are not what they should be.
+    """
+    return tuple(own.path for own in fetch(folder))
 
 
 def recorded_models(path: Path | str, model: Model, source: Path | None = None) -> dict[str, Model]:
@@ -142,7 +250,7 @@ def exported(trials: Sequence[Recording], models: dict[str, Model]) -> list[Expo
 
 
 def export_recordings(
-    recordings: Path | str | Iterable[Path | str] | Sequence[Recording],
+    recordings: Path | str | Iterable[Path | str | Recording],
     path: Path | str,
     model: Model | None = None,
     *,

@@ -25,7 +25,7 @@ from equimus_ctrl.preflight.findings import Finding, backward, stops, too_few
 from equimus_ctrl.preflight.scatter import Clock, JointScatter, scatter_of
 from equimus_ctrl.types import Recording
 from equimus_ctrl.workflow.groups import by_folder, check_enough, check_fitted
-from equimus_ctrl.workflow.identify import choose, marked, simulator_of
+from equimus_ctrl.workflow.identifications import choose, marked, simulator_of
 from equimus_ctrl.workflow.scores import gather
 
 if TYPE_CHECKING:
@@ -52,7 +52,7 @@ class Given:
 
 
 def read_given(recordings: Some, model: Model, options: DiagnoseOptions, budget: Budget) -> Given:
-    """The trials, once they are seen to be what the model is of; see ``diagnose_recordings``.
+    """The trials, once they are seen to be what the model is of; see ``diagnose``.
 
     Raises:
         EquimusError: where something given cannot be used.
@@ -104,7 +104,7 @@ def require_meaning(findings: Sequence[Finding], anyway: bool) -> None:
 def prepared(
     given: Given, options: DiagnoseOptions, budget: Budget, heldout: Holdout | None
 ) -> tuple[FreeParameters, Split, DiagnosisSettings]:
-    """What is free, the trials fitted and held out, and how a diagnosis goes; see ``diagnose_recordings``.
+    """What is free, the trials fitted and held out, and how a diagnosis goes; see ``diagnose``.
 
     Args:
         given: see ``Given``.

@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from equimus_ctrl import outputs, presets
 from equimus_ctrl.controllers.custom import as_controller
@@ -27,7 +27,11 @@ from equimus_ctrl.scenarios.registry import SCENARIOS, ScenarioEntry, first_para
 from equimus_ctrl.scenarios.scenario import Scenario, ScenarioContext
 from equimus_ctrl.scenarios.scoring import Score, score_run
 from equimus_ctrl.settings import both
+from equimus_ctrl.shown import Short, by_name
 from equimus_ctrl.types import Controller, Counts, CountsInstants, Ends, KnowsContacts, Plant, Recording, Run
+
+if TYPE_CHECKING:
+    from pandas import DataFrame
 
 
 def recordings_of(folder: Path | None = None) -> Callable[[str], tuple[Recording, ...]]:
@@ -144,8 +148,8 @@ def load_controller(
     )
 
 
-@dataclass(frozen=True, eq=False)
-class ScenarioRun:
+@dataclass(frozen=True, eq=False, repr=False)
+class ScenarioRun(Short):
     """One scenario, driven and scored.
 
     Attributes:
@@ -167,6 +171,35 @@ class ScenarioRun:
     plant: str
     loop: Counts | None = None
     recording: Path | None = None
+
+    def told(self) -> str:
+        """What was driven, and its tracking error."""
+        spec, score = self.run.spec, self.score
+        error = by_name(spec.joints, score.tracking.rmse)
+        units = " or ".join(dict.fromkeys(spec.joint_units))
+        return (
+            f" {self.scenario.name} by {self.controller} on {self.model.name} ({self.plant}), "
+            f"{self.run.time[-1]:.4g} s: tracking RMSE {error} {units}, saturated {100 * score.saturated:.3g} %"
+        )
+
+    def to_dataframe(self) -> DataFrame:
+        """A row for each control instant, see ``Run.to_dataframe``.
+
+        Raises:
+            NotAvailable: where pandas is not installed.
+        """
+        return self.run.to_dataframe()
+
+    def to_dict(self) -> dict[str, Any]:
+        """What ``run --json`` prints, but for its files."""
+        from equimus_ctrl.report.tables import score_to_dict
+
+        return {
+            **score_to_dict(self.score, self.run, self.scenario, self.controller),
+            "note": self.run.note,
+            "plant": self.plant,
+            "model": self.model.name,
+        }
 
     @property
     def kinematics(self) -> Kinematics | None:

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -13,7 +13,10 @@ from equimus_ctrl.engines.base import Engine
 from equimus_ctrl.engines.choice import engine_for
 from equimus_ctrl.engines.predict import check_columns, predict
 from equimus_ctrl.errors import ConfigError, SimulationDiverged
+from equimus_ctrl.frames import dataframe
+from equimus_ctrl.identification.estimates import TrialResiduals
 from equimus_ctrl.identification.residuals import followed
+from equimus_ctrl.identification.results import small_units
 from equimus_ctrl.identification.segments import LEAST_SAMPLES, cut
 from equimus_ctrl.identification.simulators import Simulator
 from equimus_ctrl.models.augmented import unknown_starts
@@ -22,12 +25,16 @@ from equimus_ctrl.options import ScoreOptions, with_changes
 from equimus_ctrl.options.score import StartName
 from equimus_ctrl.recordings import Mapping, read_set
 from equimus_ctrl.scenarios.scoring import on_grid
+from equimus_ctrl.shown import Short, by_name, counted
 from equimus_ctrl.types import Array, Recording
 from equimus_ctrl.workflow.mjcf import as_modelled, mapping_of, read_trials
 
+if TYPE_CHECKING:
+    from pandas import DataFrame
 
-@dataclass(frozen=True, eq=False)
-class TrialScore:
+
+@dataclass(frozen=True, eq=False, repr=False)
+class TrialScore(Short):
     """How far a model's prediction lies from one trial.
 
     Attributes:
@@ -46,9 +53,31 @@ class TrialScore:
     samples: int
     start: StartName
 
+    def told(self) -> str:
+        """The trial and its error."""
+        error = by_name(self.recording.joints, 1e3 * self.rmse)
+        return f" {self.recording.name!r}: RMSE {error} thousandths of rad or m, {self.start} start"
 
-@dataclass(frozen=True, eq=False)
-class RecordingsScore:
+    @property
+    def residuals(self) -> Array:
+        """(n, nj) measured − predicted at the trial's times [rad or m]."""
+        return np.asarray(self.recording.position - self.predicted)
+
+    def to_dataframe(self) -> DataFrame:
+        """A row for each sample by its ``time`` [s]: measured ``pos.*``, ``predicted.*``, ``residual.*``.
+
+        Raises:
+            NotAvailable: where pandas is not installed.
+        """
+        kinds = (("pos", self.recording.position), ("predicted", self.predicted), ("residual", self.residuals))
+        columns = {
+            f"{kind}.{joint}": values[:, k] for kind, values in kinds for k, joint in enumerate(self.recording.joints)
+        }
+        return dataframe({"time": self.recording.time, **columns}, "time")
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class RecordingsScore(Short):
     """A model against recordings.
 
     Attributes:
@@ -64,6 +93,35 @@ class RecordingsScore:
     rmse: Array
     engine: Engine
     start: StartName
+
+    def told(self) -> str:
+        """How many trials, and the error."""
+        error = by_name(self.model.robot.joint_names, 1e3 * self.rmse)
+        return (
+            f" of {self.model.name} on {counted(len(self.trials), 'trial')}: RMSE {error} "
+            f"{small_units(self.model.robot)}, {self.start} starts"
+        )
+
+    def trial_residuals(self) -> tuple[TrialResiduals, ...]:
+        """Measured − predicted with times, of each trial, all its rows."""
+        robot = self.model.robot
+        return tuple(
+            TrialResiduals(own.recording.name, own.recording.time, own.residuals, robot.joint_names, robot.joint_units)
+            for own in self.trials
+        )
+
+    def to_dataframe(self) -> DataFrame:
+        """A row for each trial: RMSE of each joint [rad or m] and how many samples are scored.
+
+        Raises:
+            NotAvailable: where pandas is not installed.
+        """
+        joints = self.model.robot.joint_names
+        rows = [
+            {"trial": t.recording.name, **dict(zip(joints, t.rmse.tolist(), strict=True)), "samples": t.samples}
+            for t in self.trials
+        ]
+        return dataframe(rows, "trial")
 
     def to_dict(self) -> dict[str, Any]:
         """What ``score --json`` prints."""
@@ -82,7 +140,7 @@ class RecordingsScore:
 
 
 def gather(
-    recordings: Path | str | Iterable[Path | str] | Sequence[Recording],
+    recordings: Path | str | Iterable[Path | str | Recording],
     model: Model | None = None,
     mapping: Mapping | Path | str | None = None,
 ) -> list[Recording]:
@@ -105,8 +163,8 @@ def gather(
     return trials if model is None else [as_modelled(trial, model.robot) for trial in trials]
 
 
-def score_recordings(
-    recordings: Path | str | Iterable[Path | str] | Sequence[Recording],
+def score(
+    recordings: Path | str | Iterable[Path | str | Recording],
     model: Model | None = None,
     options: ScoreOptions | None = None,
     *,

@@ -61,7 +61,7 @@ _UNIT = {
 }  # fmt: skip
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Morphology(Robot):
     """A planar tree of links with elastic actuators across them.
 

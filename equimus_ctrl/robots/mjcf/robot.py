@@ -55,7 +55,7 @@ LEAST_PLAY = 2e-9
 """A play that is none [rad or m]."""
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class MjcfRobot(Driven):
     """A robot from a MuJoCo model.
 

@@ -8,7 +8,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
-from typing import Any, cast
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
@@ -16,19 +16,28 @@ from equimus_ctrl import presets
 from equimus_ctrl.errors import ConfigError, EquimusError
 from equimus_ctrl.executors.base import Executor
 from equimus_ctrl.executors.calls import Ended
+from equimus_ctrl.frames import dataframe
+from equimus_ctrl.models.model import Model
 from equimus_ctrl.options import ProveOptions, Shard, with_changes
 from equimus_ctrl.proof import blind
 from equimus_ctrl.proof.designs import DURATION, TRIALS
 from equimus_ctrl.proof.drawing import Kind
-from equimus_ctrl.proof.mjcf import Experiment
+from equimus_ctrl.proof.mjcf import Experiment, require_bare_mjcf
 from equimus_ctrl.proof.scoring import Score, score
 from equimus_ctrl.proof.seal import seal_of_all
 from equimus_ctrl.proof.store import Request, make_cases, open_truth, recorded
 from equimus_ctrl.recordings.folders import read_text, write_text
+from equimus_ctrl.shown import Short
 from equimus_ctrl.types import Array, Recording
 from equimus_ctrl.workflow.plugins import load_plugins, plugins_digest
-from equimus_ctrl.workflow.prove_shards import merge_shards, note_shard, shard_name
+from equimus_ctrl.workflow.proof_shards import merge_shards, note_shard, shard_name
+from equimus_ctrl.workflow.scores import gather
 from equimus_ctrl.workflow.where import where_of
+
+if TYPE_CHECKING:
+    from pandas import DataFrame
+
+    from equimus_ctrl.options import Some
 
 Progress = Callable[[str, int, int], None]
 """Called with the stage, how many cases are done, and how many there are."""
@@ -43,8 +52,8 @@ FAR, SOME = 3.0, 0.1
 STAGES = ("simulating robots", "diagnosing", "scoring")
 
 
-@dataclass(frozen=True, eq=False)
-class Proof:
+@dataclass(frozen=True, eq=False, repr=False)
+class Proof(Short):
     """A proof that was carried through.
 
     Attributes:
@@ -63,6 +72,23 @@ class Proof:
     seconds: float
     shard: Shard | None = None
 
+    def told(self) -> str:
+        """The robot, and the score."""
+        return f" of the diagnosis on {self.request.model.name}, seed {self.request.seed}:{self.score.told()}"
+
+    def to_dataframe(self) -> DataFrame:
+        """A row for each case: its ground truth, what was said of it, whether that is right.
+
+        Raises:
+            NotAvailable: where pandas is not installed.
+        """
+        keys = ("case", "kind", "strength", "right", "verdict", "seconds")
+        rows = [
+            {key: line[key] for key in keys} | {key: _phrase(line[key]) for key in ("truth", "named")}
+            for line in self.score.lines
+        ]
+        return dataframe(rows, "case")
+
     def to_dict(self) -> dict[str, Any]:
         """What ``prove --json`` prints."""
         r = self.request
@@ -79,10 +105,12 @@ class Proof:
         return {**head, **rest, **found}
 
 
-def put_to_proof(
-    folder: Path,
+def prove(
+    folder: Path | str,
     options: ProveOptions | None = None,
     *,
+    recordings: Some = (),
+    model: Model | None = None,
     experiment: Experiment | None = None,
     plugins: Sequence[Path] = (),
     progress: Progress = lambda stage, done, total: None,
@@ -94,7 +122,9 @@ def put_to_proof(
     Args:
         folder: for everything that is made.
         options: see ``ProveOptions``.
-        experiment: an MJCF robot and what is done with it, in the place of legs and of trials that are drawn.
+        recordings: of an MJCF robot, whose commands drive those that are like it.
+        model: of that robot; legs and trials that are drawn by default.
+        experiment: both in one.
         plugins: files that register effects, see ``load_plugins``: those with sizes are drawn too, and looked for.
         progress: see ``Progress``.
         say: see ``Say``; the seal of all seals is said before the first diagnosis begins.
@@ -105,7 +135,8 @@ def put_to_proof(
         EquimusError: where a diagnosis' process ended without an answer.
     """
     begun = time.perf_counter()
-    options = with_changes(ProveOptions, options, changes)
+    options, folder = with_changes(ProveOptions, options, changes), Path(folder)
+    experiment = experiment or experiment_of(recordings, model, options.track)
     request = _request(folder, options, experiment)
     cases = range(options.cases) if options.shard is None else options.shard.cases(options.cases)
     baselines = experiment is None if options.baselines is None else options.baselines
@@ -147,6 +178,31 @@ def put_to_proof(
     others = [_read(request.baselines(case))["answers"] if baselines else {} for case in cases]
     found = score(truths, reports, others, request.model.robot)
     return Proof(request, whole, found, tuple(notes), time.perf_counter() - begun, options.shard)
+
+
+def experiment_of(recordings: Some, model: Model | None, track: float | None = None) -> Experiment | None:
+    """An MJCF robot and what is done with it; None where legs are put to the proof.
+
+    Args:
+        recordings: of the robot.
+        model: of it; None of legs.
+        track: see ``ProveOptions``.
+
+    Raises:
+        EquimusError: where one is given without the other, or cannot be used.
+    """
+    given = [recordings] if isinstance(recordings, Path | str) else list(recordings)
+    if model is None:
+        if given:
+            first = given[0].name if isinstance(given[0], Recording) else given[0]
+            raise ConfigError(f"{first}: recordings are for --model, an MJCF robot; a leg's trials are drawn")
+        return None
+    if not given:
+        raise ConfigError(
+            f"{model.name}: an MJCF robot is driven as in recordings of it; give their folder or files too"
+        )
+    require_bare_mjcf(model)  # before its recordings are taken for a leg's
+    return Experiment(model, tuple(gather(given, model)), track)
 
 
 def far_beyond(request: Request, cases: Sequence[int]) -> list[str]:
@@ -201,6 +257,11 @@ def _wanted(request: Request, plugins: Sequence[Path]) -> dict[str, Any]:
     wanted |= request.source.made_of()
     digest = plugins_digest(plugins)
     return wanted | ({} if digest is None else {"plugins_sha256": digest})
+
+
+def _phrase(found: Sequence[Mapping[str, Any]]) -> str:
+    """Effects and where they are, in one line."""
+    return "; ".join(f"{own['effect']} at {', '.join(own['locations'])}" for own in found)
 
 
 def _claimed(folder: Path) -> dict[str, Any]:

@@ -17,7 +17,7 @@ from equimus_ctrl.diagnosis.results import Diagnosis
 from equimus_ctrl.errors import EquimusError
 from equimus_ctrl.models.model import Model, nominal_model
 from equimus_ctrl.options import DiagnoseOptions, with_changes
-from equimus_ctrl.workflow.identify import with_file
+from equimus_ctrl.workflow.identifications import with_file
 from equimus_ctrl.workflow.prepared import prepared, read_given
 from equimus_ctrl.workflow.splits import over_splits
 
@@ -28,7 +28,7 @@ SWEEPS = {"mean": (10.0, 15.0, 20.0), "amplitude": (4.0, 9.0), "high": (0.5, 2.0
 """Settings of the scenario ``chirp`` among which an experiment is chosen [kPa, kPa, Hz]."""
 
 
-def diagnose_recordings(
+def diagnose(
     recordings: Some,
     model: Model | None = None,
     options: DiagnoseOptions | None = None,

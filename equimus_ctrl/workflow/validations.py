@@ -7,16 +7,16 @@ from typing import Any
 from equimus_ctrl.models.model import Model, nominal_model
 from equimus_ctrl.options import ValidateOptions, with_changes
 from equimus_ctrl.validation import plan
-from equimus_ctrl.validation.validate import Notify, Validation, validate
+from equimus_ctrl.validation import validate as validation
 
 
-def validate_physics(
+def validate(
     model: Model | None = None,
     options: ValidateOptions | None = None,
     *,
-    notify: Notify = lambda stage, share, error: None,
+    notify: validation.Notify = lambda stage, share, error: None,
     **changes: Any,
-) -> Validation:
+) -> validation.Validation:
     """Repeat the published verification of a model, and check both engines against an exact integration.
 
     Args:
@@ -30,4 +30,4 @@ def validate_physics(
     """
     options = with_changes(ValidateOptions, options, changes)
     chosen = plan.QUICK if options.quick else plan.Plan()
-    return validate(model or nominal_model(), chosen, options.seed, threads=options.threads, notify=notify)
+    return validation.validate(model or nominal_model(), chosen, options.seed, threads=options.threads, notify=notify)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import fnmatch
 import math
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar, cast, get_args
@@ -17,6 +17,7 @@ from equimus_ctrl.engines.base import EngineName
 from equimus_ctrl.engines.choice import engine_for
 from equimus_ctrl.engines.predict import FREE, ZERO, check_columns
 from equimus_ctrl.errors import ConfigError, unknown_name
+from equimus_ctrl.identification import sensitivity as sensitivities
 from equimus_ctrl.identification.channels import unused, with_channels
 from equimus_ctrl.identification.crosscheck import cross_check
 from equimus_ctrl.identification.fit import Fit, FitSettings, fit
@@ -25,7 +26,6 @@ from equimus_ctrl.identification.parameters import FreeParameters, free_paramete
 from equimus_ctrl.identification.residuals import residuals_of
 from equimus_ctrl.identification.results import Identification, Identified, IdentifiedPoses, Judged, together
 from equimus_ctrl.identification.segments import Segment, cut
-from equimus_ctrl.identification.sensitivity import SHARES, Sensitivity, sensitivity
 from equimus_ctrl.identification.simulators import Simulator
 from equimus_ctrl.identification.statics import fit_static, pose_residuals, static_names
 from equimus_ctrl.identification.step_error import with_step_error
@@ -47,6 +47,8 @@ REWEIGHTED = 3
 """So often residuals give the weights of a fit with more than joint positions; no digit that is shown changes after."""
 FOLD_SHARE = 0.15
 """What a fold of the cross-check takes beside the search, for the share done."""
+Measured = Path | str | Recording | StaticPoses
+"""A trial, poses at rest, or a file or folder of them."""
 Progress = Callable[[str, float, float], None]
 """Called with the stage, the share of the whole that is done, and the best RMSE over all joints so far [rad], nan where
 there is none yet."""
@@ -321,24 +323,24 @@ def _poses_for(model: Model, poses: Path | str | StaticPoses) -> StaticPoses:
     return given
 
 
-def identify_files(
-    sources: Sequence[Path | str],
+def identify(
+    recordings: Measured | Iterable[Measured],
     model: Model | None = None,
     options: IdentifyOptions | None = None,
     *,
     progress: Progress = lambda stage, share, best: None,
     **changes: Any,
 ) -> Identification:
-    """Parameters from files of trials, of poses at rest, or of both.
+    """Parameters of a model from trials, from poses at rest, or from both, with intervals, judged on held-out data.
 
     Files of poses are recognised by their header. Where both are given the poses come first (stiffness, area and rest
     length, as far as these are free), then the trials, from the model that the poses gave and between the bounds about
     the initial model.
 
     Args:
-        sources: files, or folders of trials.
+        recordings: files, folders of trials, trials or poses.
         model: where the search starts; the nominal leg by default.
-        options: see ``IdentifyOptions``; held out are files or folders.
+        options: see ``IdentifyOptions``.
         progress: see ``Progress``.
         **changes: of the options, one by one.
 
@@ -347,6 +349,7 @@ def identify_files(
     """
     model = model or nominal_model()
     options = with_file(with_changes(IdentifyOptions, options, changes), model)
+    sources = _each_of(recordings)
     if not model.robot.traits.held_in_place:  # so poses at rest tell nothing
         return Identification(model, None, identify_recordings(sources, model, options, progress=progress))
     poses, files = _sorted_out(sources)
@@ -354,8 +357,9 @@ def identify_files(
     judging_poses = [_poses_for(model, path) for path in judging_files]
     if not files:
         if judging:
+            first = judging[0].name if isinstance(judging[0], Recording) else judging[0]
             raise ConfigError(
-                f"{judging[0]}: trials are held out, but only poses at rest are given, which do not identify damping; "
+                f"{first}: trials are held out, but only poses at rest are given, which do not identify damping; "
                 "give trials to fit too"
             )
         still = identify_poses(_stacked(poses), model, replace(options, heldout=judging_poses), progress=progress)
@@ -393,36 +397,41 @@ def identify_files(
     return Identification(model, rest, replace(found, heldout=tuple(judged)))
 
 
-def _each_of(given: Any) -> list[Any]:
-    """What is held out, one or several."""
-    return [given] if isinstance(given, Path | str | StaticPoses) else list(given)
+def _each_of(given: Measured | Iterable[Measured]) -> list[Any]:
+    """What is given, one or several."""
+    return [given] if isinstance(given, Path | str | StaticPoses | Recording) else list(given)
 
 
-def _sorted_out(paths: Sequence[Path | str]) -> tuple[list[Path], list[Path]]:
-    """(files of poses, all others)."""
-    poses: list[Path] = []
-    others: list[Path] = []
-    for path in map(Path, paths):
-        (poses if kind(header_of(path)) == STATIC_POSES else others).append(path)
+def _sorted_out(given: Sequence[Measured]) -> tuple[list[StaticPoses | Path | str], list[Recording | Path | str]]:
+    """(poses and files of them, all others)."""
+    poses: list[StaticPoses | Path | str] = []
+    others: list[Recording | Path | str] = []
+    for own in given:
+        if isinstance(own, StaticPoses):
+            poses.append(own)
+        elif isinstance(own, Recording) or kind(header_of(Path(own))) != STATIC_POSES:
+            others.append(own)
+        else:
+            poses.append(own)
     return poses, others
 
 
-def _stacked(paths: Sequence[Path]) -> StaticPoses:
-    read = [read_static_poses(path) for path in paths]
+def _stacked(given: Sequence[StaticPoses | Path | str]) -> StaticPoses:
+    read = [own if isinstance(own, StaticPoses) else read_static_poses(Path(own)) for own in given]
     if len(read) == 1:
         return read[0]
     names = "+".join(p.name for p in read)
     return StaticPoses(names, np.vstack([p.pressure for p in read]), np.vstack([p.position for p in read]))
 
 
-def sensitivity_of(
+def sensitivity(
     recordings: Some,
     model: Model | None = None,
     options: SensitivityOptions | None = None,
     *,
     progress: Callable[[float], None] = lambda share: None,
     **changes: Any,
-) -> Sensitivity:
+) -> sensitivities.Sensitivity:
     """How a model's errors on recordings change with each of its parameters.
 
     Args:
@@ -440,7 +449,7 @@ def sensitivity_of(
     trials = choose(gather(recordings, model, options.mapping), options.select)
     simulator = simulator_of(options.engine, options.dt, options.threads, model, trials)
     segments = cut(model, trials, window=options.window)
-    shares = SHARES if options.shares is None else options.shares
-    return sensitivity(
+    shares = sensitivities.SHARES if options.shares is None else options.shares
+    return sensitivities.sensitivity(
         model, segments, patterns=options.parameters, shares=shares, simulator=simulator, notify=progress
     )

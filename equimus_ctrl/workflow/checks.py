@@ -24,7 +24,7 @@ from equimus_ctrl.preflight.result import CheckResult
 from equimus_ctrl.preflight.runs import repeats_of, rest_poses
 from equimus_ctrl.preflight.signals import Signals, signals_of
 from equimus_ctrl.types import Array, Recording
-from equimus_ctrl.workflow.identify import with_file
+from equimus_ctrl.workflow.identifications import with_file
 from equimus_ctrl.workflow.prepared import Given, prepared, read_given
 
 if TYPE_CHECKING:
