@@ -203,6 +203,40 @@ def test_a_dead_time_lies_within_its_bounds(delay: float, lag: float, orders: in
         assert found.low > 0.06
 
 
+@pytest.mark.parametrize("apart", [0.0, DT, 0.15, 0.3])
+def test_steps_of_two_drives_that_either_could_have_moved_say_nothing_of_the_later_one(apart: float) -> None:
+    """Drive a moves the joint 20 ms late, b 120 ms late, which steps at the same row as a or a little behind."""
+    fast, slow = (stepped(delay, 0.0, 1e-3, 2, seed) for seed, delay in ((0, 0.02), (1, 0.12)))
+    rows = round(apart / DT)
+    late = np.vstack([np.zeros((rows, 1)), slow.command])[: len(slow.command)]
+    moved = np.concatenate([np.zeros(rows), slow.position[:, 0]])[: len(slow.position)]
+    both = Recording(
+        "both", fast.time, np.column_stack([fast.command, late]), fast.position + moved[:, None], ("a", "b"), ("joint",)
+    )
+    own = signals_of(both, (np.full(2, -np.inf), np.full(2, np.inf)))
+    first, later = latencies([both], [own], dict.fromkeys("ab", frozenset({"joint"})))
+    assert not later.shows
+    assert first.shows == (apart > DT) and (not first.shows or first.low <= 0.02 <= first.high)
+
+
+def test_what_an_earlier_step_moves_late_is_not_of_the_next_one() -> None:
+    """Motion begins 0.4 s after each command, the second one 0.35 s behind the first."""
+    t = time_of(6.0)
+    command = np.where(t >= 3.35, 2.0, np.where(t >= 3.0, 1.0, 0.0))
+    x = np.where(t >= 3.4, 1 - np.exp(-3 * np.maximum(t - 3.4, 0)), 0.0) + rng(2).normal(0, 1e-3, len(t))
+    trial = recording(x, command=command[:, None])
+    (found,) = latencies([trial], [signals_of(trial, ANY)], {"drive": frozenset({"joint"})})
+    assert not found.shows or found.low <= 0.4 <= found.high
+
+
+def test_a_step_that_was_sent_between_rows_is_within_the_bounds() -> None:
+    """Sent 10 ms before the row that logs it: the dead time is longer than what passes from there."""
+    trial = stepped(0.02, 0.0, 1e-5, 1, 0)
+    coarse = Recording("c", trial.time[::3], trial.command[::3], trial.position[::3], ("drive",), ("joint",))
+    (found,) = latencies([coarse], [signals_of(coarse, ANY)], {"drive": frozenset({"joint"})})
+    assert found.shows and found.low <= 0.02 <= found.high
+
+
 def test_without_steps_from_rest_no_dead_time_shows() -> None:
     t = time_of(12.0)
     swung = recording(sine(), command=np.sin(t)[:, None])
