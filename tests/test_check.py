@@ -243,7 +243,9 @@ def test_what_does_not_count_does_not_decide_whether_an_answer_means_something()
     half = [(r, r.time[:, None] < 2) for r in runs()]
     wrong = [replace(r, command=np.where(early, -1.0, 1.0) * r.command) for r, early in half]
     noise = [replace(r, position=np.where(early, 0.5, r.position)) for r, early in half]
-    noise = [replace(r, position=r.position + np.random.default_rng(2).normal(0, 1e-3, r.position.shape)) for r in noise]
+    noise = [
+        replace(r, position=r.position + np.random.default_rng(2).normal(0, 1e-3, r.position.shape)) for r in noise
+    ]
     for trials, said in ((wrong, "look negated"), (noise, "noise")):
         for window, stops in (((0.0, 1.99), True), ((2.0, 4.0), False)):
             asked = eq.DiagnoseOptions(window=window)

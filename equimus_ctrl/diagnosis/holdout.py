@@ -176,8 +176,8 @@ def check_samples(r: Recording, most_angle: float) -> None:
     if len(back := np.flatnonzero(np.diff(r.time) <= 0)):
         row = int(back[0]) + 1
         raise ConfigError(
-            f"{r.name}: row {row + 1} is stamped {float(r.time[row])!r} s after {float(r.time[row - 1])!r} s in the row "
-            f"before ({len(back)} such row{'s' * (len(back) > 1)}); times must ascend: drop rows that were written "
+            f"{r.name}: row {row + 1} is stamped {float(r.time[row])!r} s after {float(r.time[row - 1])!r} s in the "
+            f"row before ({len(back)} such row{'s' * (len(back) > 1)}); times must ascend: drop rows that were written "
             "twice, or sort them"
         )
     duration = float(np.ptp(r.time)) if len(r.time) else 0.0

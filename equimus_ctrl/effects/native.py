@@ -232,7 +232,9 @@ def add_device(
     group = next(g for g in range(len(GROUPS) + 1) if not switched_off(model, g))
 
     def put(spec: Any) -> None:
-        own = spec.add_actuator(name=unused(f"{place} {name}", spec.actuators), trntype=kind, target=target, group=group)
+        own = spec.add_actuator(
+            name=unused(f"{place} {name}", spec.actuators), trntype=kind, target=target, group=group
+        )
         # Nothing of the file's defaults for actuators is to describe it.
         own.gear, own.damping, own.armature = [1.0, *[0.0] * 5], [0.0] * 3, 0.0
         own.ctrllimited = own.forcelimited = own.actlimited = mujoco.mjtLimited.mjLIMITED_FALSE

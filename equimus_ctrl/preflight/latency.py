@@ -1,9 +1,9 @@
 """How late a joint moves after a step of a command, from recordings alone: bounds, and no model.
 
-The dead time is at most what passes until motion is first seen beyond the noise, from the row before the step's on: that
-is the upper bound, whatever the robot. How much less it can be depends on how motion begins. Behind a dead time d a joint at rest moves as c·(t − d)ⁿ,
-n = 1 where the command is a speed, 2 where it is a force on a mass, 3 and 4 where a lag or an elastic drive comes
-between;
+The dead time is at most what passes until motion is first seen beyond the noise, from the row before the step's on:
+that is the upper bound, whatever the robot. How much less it can be depends on how motion begins. Behind a dead time d
+a joint at rest moves as c·(t − d)ⁿ, n = 1 where the command is a speed, 2 where it is a force on a mass, 3 and 4 where
+a lag or an elastic drive comes between;
 and it shows the later the higher n is. For each n the d are found whose
 
     χ²(d) = min over c, a   Σ (x − a − c·max(t − d, 0)ⁿ)²/σ²

@@ -119,9 +119,17 @@ def scatter_and_rests(recording: Recording, clock: Clock) -> tuple[tuple[JointSc
     rows = zip(recording.joints, position.T, steps.tolist(), noise.tolist(), at_rest.tolist(), strict=True)
     return tuple(
         JointScatter(
-            name, float(x.min()), float(x.max()), float(x.std()), step, size, rest, int(np.count_nonzero(np.diff(x))),
-            len(x), whiteness(x),
-        )  # fmt: skip
+            name,
+            float(x.min()),
+            float(x.max()),
+            float(x.std()),
+            step,
+            size,
+            rest,
+            int(np.count_nonzero(np.diff(x))),
+            len(x),
+            whiteness(x),
+        )
         for name, x, step, size, rest in rows
     ), resting
 
