@@ -202,6 +202,70 @@ def test_negated_commands_stop_and_anyway_goes_on_with_a_note() -> None:
     assert note.startswith("Gone on with all the same") and "look negated" in note
 
 
+def broken(name: str) -> Recording:
+    good = runs()[0]
+    change: dict[str, Any] = {
+        "a position": {"position": np.where(np.arange(400)[:, None] == 7, np.nan, good.position)},
+        "a time": {"time": np.where(np.arange(400) == 7, np.nan, good.time)},
+        "a command": {"command": np.where(np.arange(400)[:, None] == 7, np.inf, good.command)},
+        "all times": {"time": np.full(400, 3.0)},
+        "a repeated time": {"time": np.where(np.arange(400) == 7, good.time[6], good.time)},
+        "descending times": {"time": good.time[::-1]},
+    }
+    rows = {"no row": 0, "one row": 1, "two rows": 2, "short": 50}
+    if name in rows:
+        count = rows[name]
+        return replace(good, time=good.time[:count], command=good.command[:count], position=good.position[:count])
+    return replace(good, **change[name])
+
+
+@pytest.mark.parametrize("quick", [True, False])
+@pytest.mark.parametrize(
+    ("name", "said"),
+    [
+        *((f"a {what}", "not finite") for what in ("position", "time", "command")),
+        ("all times", r"row 2 is stamped 3\.0 s after 3\.0 s .*399 such rows.*must ascend"),
+        ("a repeated time", r"row 8 .*1 such row\).*must ascend"),
+        ("descending times", "must ascend"),
+        *((what, "too short to diagnose") for what in ("no row", "one row", "two rows", "short")),
+    ],
+)
+def test_what_is_no_recording_is_refused_in_a_sentence(name: str, said: str, quick: bool) -> None:
+    """Whether or not it is to go on all the same."""
+    with pytest.raises(ConfigError, match=said):
+        workflow.check([broken(name)], MODEL, quick=quick)
+    with pytest.raises(ConfigError, match=said):
+        read_given([broken(name)], MODEL, eq.DiagnoseOptions(anyway=True), Budget())
+
+
+def test_what_does_not_count_does_not_decide_whether_an_answer_means_something() -> None:
+    """Commands that are negated before 2 s and behind, and noise alone within 2 s and outside."""
+    half = [(r, r.time[:, None] < 2) for r in runs()]
+    wrong = [replace(r, command=np.where(early, -1.0, 1.0) * r.command) for r, early in half]
+    noise = [replace(r, position=np.where(early, 0.5, r.position)) for r, early in half]
+    noise = [
+        replace(r, position=r.position + np.random.default_rng(2).normal(0, 1e-3, r.position.shape)) for r in noise
+    ]
+    for trials, said in ((wrong, "look negated"), (noise, "noise")):
+        for window, stops in (((0.0, 1.99), True), ((2.0, 4.0), False)):
+            asked = eq.DiagnoseOptions(window=window)
+            assert workflow.check(trials, MODEL, window=window, quick=True).stops is stops
+            if not stops:
+                read_given(trials, MODEL, asked, Budget())
+                continue
+            with pytest.raises(ConfigError, match=said):
+                read_given(trials, MODEL, asked, Budget())
+
+
+@pytest.mark.parametrize("rows", [1, 2, 9, 59])
+def test_too_few_rows_that_count_are_refused(rows: int) -> None:
+    window = (1.0, 1.0 + 0.01 * (rows - 0.5))
+    with pytest.raises(ConfigError, match=f"has {rows} rows between .* too few to diagnose"):
+        workflow.check(runs(), MODEL, window=window, quick=True)
+    with pytest.raises(ConfigError, match=f"has {rows} rows between .* too few to diagnose"):
+        read_given(runs(), MODEL, eq.DiagnoseOptions(window=window), Budget())
+
+
 def test_good_recordings_have_no_note_of_it() -> None:
     data, settings = asked(runs())
     assert settings.notes == () and data.free.names == ("arm.mass", "arm.inertia")
@@ -255,8 +319,10 @@ def test_recordings_of_the_real_leg_are_not_stopped_and_the_cameras_clock_is_tol
     found = workflow.check([folder / "step_release.csv", folder / "triangle.csv"], quick=True)
     assert not found.stops
     assert {(own.about, own.channel) for own in found.of("warning")} == {("clock", "pos.hip"), ("clock", "pos.knee")}
-    for late in found.latencies:
-        assert late.steps > 20 and 0.015 < late.low < late.high < 0.08
+    # Of most steps both valves open at the same row: whose the motion is nobody knows.
+    maa, baa = found.latencies
+    assert maa.steps == 5 and 0.015 < maa.low < maa.high < 0.1
+    assert baa.steps == 3 and baa.low == 0 and baa.high < 0.12
 
 
 @pytest.mark.parametrize("folder", ["open_1", "open_2", "open_3", "open_4"])

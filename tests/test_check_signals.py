@@ -17,7 +17,7 @@ from equimus_ctrl.preflight import findings, judgement
 from equimus_ctrl.preflight.latency import Latency, latencies
 from equimus_ctrl.preflight.limits import CheckLimits
 from equimus_ctrl.preflight.runs import repeats_of, rest_poses
-from equimus_ctrl.preflight.scatter import scatter_of
+from equimus_ctrl.preflight.scatter import scatter_of, whiteness
 from equimus_ctrl.preflight.signals import Signals, signals_of
 from equimus_ctrl.types import Array, Recording
 
@@ -58,16 +58,16 @@ def moved_and_rested(noise: float, seed: int = 0) -> Array:
     return np.asarray(swing + rng(seed).normal(0, noise, len(t)))
 
 
-def test_jitter_gaps_bursts_and_stamps_that_go_back_are_told() -> None:
+def test_jitter_gaps_and_bursts_are_told() -> None:
     steps = np.full(400, 0.01) + rng().normal(0, 5e-4, 400)
     clock = signals(np.zeros(401), time=np.concatenate([[0.0], np.cumsum(steps)])).clock
     assert clock.jitter == pytest.approx(5e-4, rel=0.1) and clock.rate == pytest.approx(100, rel=0.01)
-    assert not clock.gaps and clock.bursts == 0 and clock.backward == 0
-    steps[100], steps[200], steps[300] = 0.3, 1e-4, 0.0
+    assert not clock.gaps and clock.bursts == 0
+    steps[100], steps[200] = 0.3, 1e-4
     clock = signals(np.zeros(401), time=np.concatenate([[0.0], np.cumsum(steps)])).clock
     ((start, length),) = clock.gaps
     assert start == pytest.approx(1.0, abs=0.02) and length == pytest.approx(0.3)
-    assert clock.bursts == pytest.approx(1 / 400) and clock.backward == 1
+    assert clock.bursts == pytest.approx(1 / 400)
     assert clock.jitter < 2e-3, "a gap is no jitter"
 
 
@@ -203,6 +203,40 @@ def test_a_dead_time_lies_within_its_bounds(delay: float, lag: float, orders: in
         assert found.low > 0.06
 
 
+@pytest.mark.parametrize("apart", [0.0, DT, 0.15, 0.3])
+def test_steps_of_two_drives_that_either_could_have_moved_say_nothing_of_the_later_one(apart: float) -> None:
+    """Drive a moves the joint 20 ms late, b 120 ms late, which steps at the same row as a or a little behind."""
+    fast, slow = (stepped(delay, 0.0, 1e-3, 2, seed) for seed, delay in ((0, 0.02), (1, 0.12)))
+    rows = round(apart / DT)
+    late = np.vstack([np.zeros((rows, 1)), slow.command])[: len(slow.command)]
+    moved = np.concatenate([np.zeros(rows), slow.position[:, 0]])[: len(slow.position)]
+    both = Recording(
+        "both", fast.time, np.column_stack([fast.command, late]), fast.position + moved[:, None], ("a", "b"), ("joint",)
+    )
+    own = signals_of(both, (np.full(2, -np.inf), np.full(2, np.inf)))
+    first, later = latencies([both], [own], dict.fromkeys("ab", frozenset({"joint"})))
+    assert not later.shows
+    assert first.shows == (apart > DT) and (not first.shows or first.low <= 0.02 <= first.high)
+
+
+def test_what_an_earlier_step_moves_late_is_not_of_the_next_one() -> None:
+    """Motion begins 0.4 s after each command, the second one 0.35 s behind the first."""
+    t = time_of(6.0)
+    command = np.where(t >= 3.35, 2.0, np.where(t >= 3.0, 1.0, 0.0))
+    x = np.where(t >= 3.4, 1 - np.exp(-3 * np.maximum(t - 3.4, 0)), 0.0) + rng(2).normal(0, 1e-3, len(t))
+    trial = recording(x, command=command[:, None])
+    (found,) = latencies([trial], [signals_of(trial, ANY)], {"drive": frozenset({"joint"})})
+    assert not found.shows or found.low <= 0.4 <= found.high
+
+
+def test_a_step_that_was_sent_between_rows_is_within_the_bounds() -> None:
+    """Sent 10 ms before the row that logs it: the dead time is longer than what passes from there."""
+    trial = stepped(0.02, 0.0, 1e-5, 1, 0)
+    coarse = Recording("c", trial.time[::3], trial.command[::3], trial.position[::3], ("drive",), ("joint",))
+    (found,) = latencies([coarse], [signals_of(coarse, ANY)], {"drive": frozenset({"joint"})})
+    assert found.shows and found.low <= 0.02 <= found.high
+
+
 def test_without_steps_from_rest_no_dead_time_shows() -> None:
     t = time_of(12.0)
     swung = recording(sine(), command=np.sin(t)[:, None])
@@ -262,6 +296,40 @@ def test_what_can_mean_nothing_stops(spoil: Spoil, about: str) -> None:
     assert about in {f.about for f in findings.stops(one_joint(), scatter)}
     good = [scatter_of(recording(moved_and_rested(1e-3, seed))) for seed in range(3)]
     assert findings.stops(one_joint(), good) == []
+
+
+def pulse(size: float, seconds: float = 60.0, rate: float = 100.0) -> tuple[Array, Array]:
+    """(time, positions) of a joint that rests but for 0.3 s in which it goes up to a size and comes back."""
+    t = np.arange(0.0, seconds, 1 / rate)
+    return t, np.where((t > 20) & (t < 20.3), size * np.sin(np.pi * (t - 20) / 0.3), 0.0)
+
+
+def test_a_short_motion_in_a_long_rest_is_motion() -> None:
+    """A peak of 7 standard deviations, χ² above 700; steps of a sensor that are crossed six times."""
+    t, x = pulse(7e-3)
+    noisy = [recording(x + rng(seed).normal(0, 1e-3, len(t)), time=t) for seed in range(8)]
+    for trial in noisy:
+        assert findings.stops(one_joint(), [scatter_of(trial)]) == []
+    coarse = recording(np.round(6 * x / 7e-3) * 1e-3, time=t)
+    assert findings.stops(one_joint(), [scatter_of(coarse)]) == []
+    still = [recording(rng(seed).normal(0, 1e-3, len(t)), time=t) for seed in range(8)]
+    for trial in still:
+        assert [f.about for f in findings.stops(one_joint(), [scatter_of(trial)])] == ["noise"]
+    assert findings.stops(one_joint(), [scatter_of(r) for r in (*still, noisy[0])]) == []
+
+
+@pytest.mark.parametrize("frequency", [12.0, 24.0, 28.6, 30.0, 45.0])
+def test_motion_without_rest_is_not_called_noise(frequency: float) -> None:
+    """In 100 rows a second second differences are of the motion, and as large as it is."""
+    t = np.arange(0.0, 10.0, 0.01)
+    x = np.sin(2 * np.pi * frequency * t) + rng().normal(0, 1e-3, len(t))
+    assert findings.stops(one_joint(), [scatter_of(recording(x, time=t))]) == []
+
+
+def test_white_noise_is_told_from_motion_at_a_level() -> None:
+    chances = np.array([whiteness(rng(seed).normal(size=2000)) for seed in range(400)])
+    assert 0.02 < np.mean(chances < 0.05) < 0.09 and 0.2 < np.mean(chances < 0.3) < 0.4
+    assert whiteness(rng().normal(size=500) + np.sin(np.arange(500))) < 1e-6
 
 
 def test_one_joint_of_two_that_does_not_move_is_a_warning() -> None:

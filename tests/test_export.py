@@ -19,7 +19,9 @@ import equimus_ctrl as eq
 from equimus_ctrl.cli.main import main
 from equimus_ctrl.effects import REGISTRY, DeadZone, Effect, FirstOrderLag, RateLimit, Saturation, catalogue, make
 from equimus_ctrl.effects.base import parameter
+from equimus_ctrl.effects.bodies import BodyEffect
 from equimus_ctrl.effects.force import ForceEffect
+from equimus_ctrl.effects.native import Draft, add_constant_force
 from equimus_ctrl.engines.batch import simulate
 from equimus_ctrl.engines.mjcf import simulate_mjcf
 from equimus_ctrl.engines.rest import rest_pose
@@ -274,6 +276,38 @@ def test_an_effect_of_ones_own_is_refused_where_it_does_not_say_how_it_is_writte
     )
 
 
+def test_a_change_of_a_robot_that_no_xml_holds_is_refused_too(tmp_path: Path) -> None:
+    """Of ones own, unless its class says that all it changes is in an XML."""
+
+    @dataclass(frozen=True)
+    class Ranged(BodyEffect):
+        """Other ranges of commands, which nothing copies into a file."""
+
+        name, summary, sits_at, robots = "ranged", "a drive with half the range", ("base",), ("mjcf",)
+        share: float = parameter("1", 0.1, 1.0, "of the range")
+
+        def changed(self, robot: Any, modelled: Any) -> Any:
+            return replace(robot, xml=robot.xml.replace("0.1", f"{0.1 * self.share:g}"))
+
+    @dataclass(frozen=True)
+    class Heavier(Ranged):
+        """Another mass, which is in a file."""
+
+        name, mjcf_form = "heavier", "`mass`"
+
+        def changed(self, robot: Any, modelled: Any) -> Any:
+            return robot.with_parameters({"arm.mass": 2 * robot.parameters()["arm.mass"]})
+
+    eq.register(Ranged)
+    eq.register(Heavier)
+    robot = MjcfRobot("p", pendulum())
+    told = refusal(lambda: eq.export_model(tmp_path / "own.xml", Model(robot, (Ranged("base", 0.5),))))
+    assert "cannot hold ranged at base (its class does not say" in told
+    path = written(Model(robot, (Heavier("base", 0.5),)), tmp_path)
+    found = mujoco.MjModel.from_xml_path(str(path)).body("arm").mass[0]
+    assert found == pytest.approx(2 * robot.parameters()["arm.mass"])
+
+
 # --- effects together ---------------------------------------------------------------------------------------------
 
 
@@ -416,6 +450,55 @@ def test_a_file_that_is_written_again_has_a_device_of_each(tmp_path: Path) -> No
     assert model.nu == 1 and model.key_act.tolist() == [[0.5, 0.0]]
 
 
+def test_measurements_of_a_file_that_is_written_again_have_names_of_their_own(tmp_path: Path) -> None:
+    """Tendons and sensors that are called as new ones would be keep their names."""
+    scale, late = make("sensor_scale", "pivot", {"scale": 1.1}), make("sensor_delay", "pivot", {"delay": 0.03})
+    first = written(Model(MjcfRobot("p", pendulum()), (scale, late)), tmp_path)
+    again = written(Model(eq.load_model(first).robot, (make("sensor_scale", "pivot", {"scale": 1.2}),)), tmp_path)
+    model = mujoco.MjModel.from_xml_path(str(again))
+    assert [model.tendon(k).name for k in range(model.ntendon)] == ["pivot measured", "pivot measured 2"]
+    assert [model.sensor(k).name for k in range(model.nsensor)] == ["pos.pivot", "pos.pivot 2"]
+    other = pendulum(tail='<sensor><jointvel name="pos.pivot" joint="pivot"/></sensor>')
+    path = written(Model(MjcfRobot("p", other), (late,)), tmp_path)
+    model = mujoco.MjModel.from_xml_path(str(path))
+    assert [model.sensor(k).name for k in range(model.nsensor)] == ["pos.pivot", "pos.pivot 2"]
+    assert model.sensor_delay.tolist() == [0.0, 0.03]
+
+
+@pytest.mark.parametrize("interp", [0, 1, 2])
+@pytest.mark.parametrize(("delay", "step"), [(0.03, None), (4e-4, None), (4e-3, 5e-3)])
+def test_delays_of_an_xml_stay_as_they_are(delay: float, step: float | None, interp: int, tmp_path: Path) -> None:
+    """Shorter than a step too, and however a buffer is read; with more they are as long as a step at least."""
+    kind = ("zoh", "linear", "cubic")[interp]
+    drive = f'<motor name="motor" joint="pivot" delay="{delay}" nsample="30" interp="{kind}"/>'
+    robot = MjcfRobot("p", pendulum(drive=drive))
+    model = mujoco.MjModel.from_xml_path(str(written(Model(robot), tmp_path, timestep=step)))
+    assert model.actuator_delay.tolist() == [delay] and model.actuator_history[0].tolist() == [30, interp]
+    more = Model(robot, (make("transport_delay", "motor", {"delay": 3e-4}),))
+    if delay + 3e-4 >= model.opt.timestep:
+        path = written(more, tmp_path, timestep=step)
+        assert mujoco.MjModel.from_xml_path(str(path)).actuator_delay.tolist() == [pytest.approx(delay + 3e-4)]
+        return
+    told = refusal(lambda: eq.export_model(tmp_path / "a.xml", more, timestep=step))
+    assert "transport_delay at motor (" in told and "a smaller --timestep holds it" in told
+
+
+@pytest.mark.parametrize("off", [0, -1, 1])
+@pytest.mark.parametrize("group", [-1, 0, 30, 31, 40])
+def test_groups_of_actuators_are_what_they_are_to_mujoco(group: int, off: int, tmp_path: Path) -> None:
+    """Those beyond 0 to 30 are never switched off: the constant force goes to the drive where it acts."""
+    drive = f'<motor name="motor" joint="pivot" group="{group}"/>'
+    robot = MjcfRobot("p", pendulum(drive=drive))
+    draft = Draft(robot.mujoco_model(None))
+    draft.model.opt.disableactuator = off
+    data = mujoco.MjData(draft.model)
+    data.ctrl[0] = 1.0
+    mujoco.mj_forward(draft.model, data)
+    acts = data.actuator_force[0] != 0
+    assert add_constant_force(draft, "pivot", 0.3, "push") == ""
+    assert (draft.model.actuator_biasprm[0, 0] != 0) == acts and bool(draft.edits) == (not acts)
+
+
 # --- the verb -----------------------------------------------------------------------------------------------------
 
 
@@ -460,6 +543,24 @@ def test_the_verb_takes_robots_of_ones_own(tmp_path: Path, monkeypatch: pytest.M
     assert "Not in here: drive, which is ignored." in text and 'name="reach"' not in text
     assert main(["export", "--model", "robot.xml", "-o", "crane.xml", "--force", "--timestep", "0.0005"]) == 0
     assert mujoco.MjModel.from_xml_path("crane.xml").opt.timestep == 0.0005
+
+
+@pytest.mark.parametrize("read", ["crane.xml", "by.toml", "link.xml"])
+def test_the_verb_never_writes_over_what_it_reads(
+    read: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """By its default name, through a model file that names it, and through a link."""
+    monkeypatch.chdir(tmp_path)
+    Path("crane.xml").write_text(ARM)
+    Path("link.xml").symlink_to("crane.xml")
+    (tmp_path / "by").mkdir()
+    eq.save_model("by.toml", eq.load_model("crane.xml"), near=Path("crane.xml"))
+    for words in (["--force"], ["--force", "-o", "crane.xml"], ["--force", "-o", "by/../crane.xml"]):
+        assert main(["export", read, *words]) == 2
+        assert "which would be lost; expected another name" in capsys.readouterr().err
+        assert Path("crane.xml").read_text() == ARM
+    assert main(["export", read, "-o", "by/crane.xml"]) == 0
+    assert main(["export", read, "-o", "by/crane.xml", "--force"]) == 0
 
 
 WRONG = [

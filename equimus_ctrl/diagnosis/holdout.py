@@ -159,16 +159,28 @@ def check(model: Model, recordings: Sequence[Recording], still: bool = False) ->
     if not recordings:
         raise ConfigError("no recording was given to diagnose")
     for recording in recordings:
-        _check_samples(recording, model.robot.traits.most_angle)
+        check_samples(recording, model.robot.traits.most_angle)
     if not still and (problem := motion_problem(model, recordings)):
         raise ConfigError(problem)
 
 
-def _check_samples(r: Recording, most_angle: float) -> None:
-    """Raise ConfigError where a recording is broken, too short, or in other units."""
+def check_samples(r: Recording, most_angle: float) -> None:
+    """Raise ConfigError where a recording is broken, too short, or in other units.
+
+    Args:
+        r: of any robot.
+        most_angle: that a joint can have, in its unit.
+    """
     if not (np.all(np.isfinite(r.position)) and np.all(np.isfinite(r.command)) and np.all(np.isfinite(r.time))):
         raise ConfigError(f"{r.name}: holds numbers that are not finite; remove the rows without measurements")
-    duration = float(r.time[-1] - r.time[0])
+    if len(back := np.flatnonzero(np.diff(r.time) <= 0)):
+        row = int(back[0]) + 1
+        raise ConfigError(
+            f"{r.name}: row {row + 1} is stamped {float(r.time[row])!r} s after {float(r.time[row - 1])!r} s in the "
+            f"row before ({len(back)} such row{'s' * (len(back) > 1)}); times must ascend: drop rows that were written "
+            "twice, or sort them"
+        )
+    duration = float(np.ptp(r.time)) if len(r.time) else 0.0
     if duration < LEAST_DURATION or len(r.time) < LEAST_SAMPLES:
         raise ConfigError(
             f"{r.name}: has {len(r.time)} samples over {duration:.3g} s, too short to diagnose; expected at least "

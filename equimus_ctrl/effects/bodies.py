@@ -46,11 +46,14 @@ R = TypeVar("R")
 
 @dataclass(frozen=True)
 class BodyEffect(Effect):
-    """An effect that changes the morphology; a subclass writes ``changes``, or ``changed`` for other changes."""
+    """An effect that changes the morphology; a subclass writes ``changes``, or ``changed`` for other changes.
+
+    One whose changes are all among what an XML of the robot holds says so by ``mjcf_form``.
+    """
 
     side = "force"
     simulated = True
-    mjcf_form = "what it makes of the robot's numbers"
+    mjcf_lacks = "its class does not say that an XML holds what it changes"
 
     def changes(self, robot: Robot) -> dict[str, float]:
         """Parameter name → new value, see ``Morphology.with_parameters``."""
@@ -66,7 +69,7 @@ class BodyEffect(Effect):
         return robot.with_parameters(self.changes(robot))
 
     def write_mjcf(self, draft: Draft) -> str:
-        return ""  # the robot that it makes is what is written
+        return "" if self.mjcf_form else self.mjcf_lacks  # the robot that it makes is what is written
 
 
 @register

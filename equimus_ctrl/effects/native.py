@@ -9,12 +9,15 @@ that of a spring K²/L in series with a damper K²/R (MuJoCo, *XML reference*, `
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
+from itertools import count
 from typing import Any
 
 HARD = 0.9999
 """Impedance of dry friction: what a rubbing joint at rest creeps is this near to nothing."""
+GROUPS = range(31)
+"""Of actuators, that can be switched off; those of others never are."""
 LIMITED = "the file limits what drives exert on the joint, and what is written would count as one of them"
 OFF = "the file switches actuators off, and what is written would be one of them"
 
@@ -44,6 +47,17 @@ class Draft:
     def tendon(self, actuator: str) -> int:
         """Index of the tendon whose length is an actuator's own."""
         return int(self.model.actuator(actuator).trnid[0])
+
+
+def switched_off(model: Any, group: int) -> bool:
+    """Whether an ``MjModel`` has the actuators of a group switched off: of no group beyond ``GROUPS``, as MuJoCo."""
+    return group in GROUPS and bool(int(model.opt.disableactuator) >> group & 1)
+
+
+def unused(wanted: str, elements: Iterable[Any]) -> str:
+    """A name that none of an ``MjSpec``'s elements has: as wanted, or with the next free number."""
+    taken = {own.name for own in elements}
+    return next(w for k in count(1) if (w := wanted if k == 1 else f"{wanted} {k}") not in taken)
 
 
 def harden(model: Any, dof: int) -> None:
@@ -146,8 +160,7 @@ def add_constant_force(draft: Draft, joint: str, force: float, name: str) -> str
         here = int(model.actuator_trntype[a]) in at_joints and int(model.actuator_trnid[a, 0]) == j
         plain = int(model.actuator_gaintype[a]) in gains and int(model.actuator_biastype[a]) in (none, affine)
         gear = float(model.actuator_gear[a, 0])
-        switched_off = int(model.opt.disableactuator) >> int(model.actuator_group[a]) & 1
-        if not here or not plain or not gear or switched_off:
+        if not here or not plain or not gear or switched_off(model, int(model.actuator_group[a])):
             continue
         if int(model.actuator_biastype[a]) == none:
             model.actuator_biasprm[a] = 0.0
@@ -216,12 +229,12 @@ def add_device(
     none = int(mujoco.mjtCtrlInput.mjINPUT_NONE)
     kind = mujoco.mjtTrn.mjTRN_TENDON if joint is None else mujoco.mjtTrn.mjTRN_JOINT
     target = model.tendon(draft.tendon(place)).name if joint is None else place
-    group = next(g for g in range(32) if not int(model.opt.disableactuator) >> g & 1)
+    group = next(g for g in range(len(GROUPS) + 1) if not switched_off(model, g))
 
     def put(spec: Any) -> None:
-        taken, wanted = {own.name for own in spec.actuators}, f"{place} {name}"
-        free = next(w for k in range(1, len(taken) + 2) if (w := wanted if k == 1 else f"{wanted} {k}") not in taken)
-        own = spec.add_actuator(name=free, trntype=kind, target=target, group=group)
+        own = spec.add_actuator(
+            name=unused(f"{place} {name}", spec.actuators), trntype=kind, target=target, group=group
+        )
         # Nothing of the file's defaults for actuators is to describe it.
         own.gear, own.damping, own.armature = [1.0, *[0.0] * 5], [0.0] * 3, 0.0
         own.ctrllimited = own.forcelimited = own.actlimited = mujoco.mjtLimited.mjLIMITED_FALSE
@@ -241,8 +254,6 @@ def _undriven(draft: Draft, place: str) -> str:
 
     model, joint = draft.model, draft.joint(place)
     if int(model.opt.disableflags) & int(mujoco.mjtDisableBit.mjDSBL_ACTUATION):
-        return OFF
-    if int(model.opt.disableactuator) == -1:
         return OFF
     limited = model.tendon_actfrclimited[draft.tendon(place)] if joint is None else model.jnt_actfrclimited[joint]
     return LIMITED if limited else ""

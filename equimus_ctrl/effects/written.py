@@ -12,7 +12,10 @@ from equimus_ctrl.effects.sensors import SCALE, SENSOR_DELAY, SensorDelay
 from equimus_ctrl.effects.valves import TransportDelay, shaping_effects
 from equimus_ctrl.types import Array
 
-SHORT = "it is shorter than a physics step, and MuJoCo reads what was a step before at the earliest"
+SHORT = (
+    "it is shorter than a physics step, and MuJoCo reads what was a step before at the earliest; a smaller --timestep "
+    "holds it"
+)
 
 
 @dataclass(frozen=True)
@@ -37,7 +40,7 @@ class Unwritten:
 
 def write_effects(
     draft: Draft, effects: Sequence[Effect], actuators: Mapping[str, int], joints: Sequence[str], valve: Array,
-    sensor: Array,
+    sensor: Array, given: Array,
 ) -> tuple[list[Unwritten], dict[str, tuple[float, float]]]:  # fmt: skip
     """Write effects into a draft.
 
@@ -48,6 +51,7 @@ def write_effects(
         joints: names of all.
         valve: (na, 6) see ``effects.command.DELAY``, the XML's own delays included.
         sensor: (nj, 4) see ``effects.sensors.OFFSET``.
+        given: (na,) the XML's own delays alone, which stay as they are where no effect adds to them [s].
 
     Returns:
         What was not written, and joint → (delay [s], scale) of its measurements where they are not as it moves.
@@ -58,9 +62,11 @@ def write_effects(
         if reason := effect.write_mjcf(draft):
             unwritten.append(Unwritten(effect.name, effect.location, reason))
     step = float(draft.model.opt.timestep)
-    for (name, index), delay in zip(actuators.items(), valve[:, DELAY].tolist(), strict=True):
-        draft.model.actuator_delay[index] = delay if delay >= step else 0.0
-        if 0 < delay < step:
+    late = zip(actuators.items(), valve[:, DELAY].tolist(), given.tolist(), strict=True)
+    for (name, index), delay, own in late:
+        held = delay == own or delay >= step
+        draft.model.actuator_delay[index] = delay if held else own
+        if not held:
             unwritten.append(Unwritten(TransportDelay.name, name, SHORT))
     measured = {}
     for joint, row in zip(joints, sensor, strict=True):

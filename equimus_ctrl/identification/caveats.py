@@ -10,6 +10,7 @@ from equimus_ctrl.identification.fit import Fit
 from equimus_ctrl.identification.noise import largest_noise
 from equimus_ctrl.identification.parameters import FreeParameters
 from equimus_ctrl.identification.residuals import joint_rmse
+from equimus_ctrl.identification.step_error import step_error
 from equimus_ctrl.identification.uncertainty import Uncertainty
 from equimus_ctrl.types import Array
 
@@ -22,7 +23,8 @@ def caveats(found: Fit, recordings: int, judged: bool = False) -> tuple[str, ...
     """Sentences on a fit to trials: physics is missing, a bound decides, one trial is few, the data do not tell.
 
     Residuals are compared with the largest noise that their second differences allow (``noise.largest_noise``), whose
-    correlation lasts no longer than a sensor's does.
+    correlation lasts no longer than a sensor's does. Where they would not be larger without as much as the error of the
+    engine's physics step, that may be all that they are: ‖r − c‖ ≥ ‖r‖ − ‖c‖ for residuals r and its error c.
 
     Args:
         found: the fit.
@@ -32,13 +34,17 @@ def caveats(found: Fit, recordings: int, judged: bool = False) -> tuple[str, ...
     joints = found.model.robot.joint_names
     sizes = joint_rmse(found.residuals)[: len(joints)]
     times = [segment.trial.sample_times for segment in found.problem.segments]
-    over = sizes / largest_noise(times, found.residuals, LEVEL)[: len(joints)]
+    noise = largest_noise(times, found.residuals, LEVEL)[: len(joints)]
+    over = sizes / noise
     beyond = [f"{over[k]:.2g} times at the {joints[k]}" for k in np.argsort(-over) if over[k] > 1]
     said = []
     if beyond:
+        engine = found.problem.simulator.engine
+        counts = engine.discretisation if np.all(sizes - step_error(found)[: len(joints)] <= noise) else None
+        why = f", or the physics step of {1e3 * counts.step:.3g} ms is too long (--dt)" if counts else ""
         said.append(
-            f"Residuals are larger than noise can be ({', '.join(beyond)}): physics is missing, and these parameters "
-            f"make up for it as far as they can. {DIAGNOSE}."
+            f"Residuals are larger than noise can be ({', '.join(beyond)}): physics is missing{why}, and these "
+            f"parameters make up for it as far as they can. {DIAGNOSE}."
         )
     if recordings == 1 and not judged:
         said.append(

@@ -57,6 +57,21 @@ def with_step_error(
     )
 
 
+def step_error(fit: Fit) -> Array:
+    """(nj + ne,) RMS error of the engine's physics step in a fit's predictions, parameters and starts as they are.
+
+    0 where an engine's step does not count, see ``Engine.discretisation``; inf where a finer step diverges.
+    """
+    own, segments = fit.problem.simulator, fit.problem.segments
+    if own.engine.discretisation is None:
+        return np.zeros(fit.residuals[0].shape[1])
+    try:
+        changes = changes_between(own, replace(own, engine=own.engine.without_step_error()), fit, segments)
+    except SimulationDiverged:
+        return np.full(fit.residuals[0].shape[1], np.inf)
+    return np.asarray(np.sqrt(np.mean(np.concatenate(changes)[..., 0] ** 2, axis=0)))
+
+
 def changes_between(own: Simulator, other: Simulator, fit: Fit, segments: Sequence[Segment]) -> list[Array]:
     """For each segment (m, nj, 1) by how much a fit's predictions change from one engine to another.
 

@@ -7,11 +7,13 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Literal
 
+from scipy.special import chdtrc
+
 from equimus_ctrl.diagnosis import display_units
 from equimus_ctrl.diagnosis.display_units import Reading
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.preflight.limits import LIMITS, CheckLimits
-from equimus_ctrl.preflight.scatter import Clock, JointScatter
+from equimus_ctrl.preflight.scatter import JointScatter
 
 Severity = Literal["note", "warning", "stop"]
 """Good to know; makes answers worse; an answer would mean nothing."""
@@ -19,6 +21,8 @@ Scatter = Sequence[Sequence[JointScatter]]
 """Of each recording its joints."""
 SEVERITIES: tuple[Severity, ...] = ("stop", "warning", "note")
 """The worst first."""
+HALF = 0.5
+"""Of a step: travels are whole numbers of them but for rounding."""
 
 
 @dataclass(frozen=True)
@@ -83,11 +87,6 @@ def _by_joint(scatter: Scatter) -> Iterator[tuple[str, list[JointScatter]]]:
         yield joint.name, [own[j] for own in scatter]
 
 
-def _spread(own: Sequence[JointScatter]) -> float:
-    """Standard deviation of a joint's positions in the recording where it moves most [rad or m]."""
-    return max(joint.deviation for joint in own)
-
-
 def text_of(reading: Reading, value: float, digits: int = 2) -> str:
     """A value as a person reads it, in so many figures, without an exponent where it is large."""
     shown = reading.factor * value
@@ -95,18 +94,19 @@ def text_of(reading: Reading, value: float, digits: int = 2) -> str:
 
 
 def coarse(model: Model, scatter: Scatter, limits: CheckLimits) -> list[Finding]:
-    """Joints whose motion is less than their sensor's steps, see ``CheckLimits.coarse``."""
+    """Joints whose motion is less than some steps of their sensor, see ``CheckLimits.coarse``."""
     found = list[Finding]()
     for name, own in _by_joint(scatter):
-        unit, step, spread = display_units.error(model, name), max(joint.step for joint in own), _spread(own)
-        if step == 0 or spread >= limits.coarse * step:
+        step, travel = max(joint.step for joint in own), max(joint.travel for joint in own)
+        if step == 0 or travel > (limits.coarse - HALF) * step:
             continue
+        unit = display_units.error(model, name)
         found.append(
             Finding(
                 "warning",
                 "quantisation",
-                f"pos.{name} comes in steps of {text_of(unit, step, 3)}, more than its motion (standard deviation "
-                f"{text_of(unit, spread)}): whatever the model, these steps are what is seen; move it by several "
+                f"pos.{name} comes in steps of {text_of(unit, step, 3)} and never moves by more than "
+                f"{text_of(unit, travel, 3)}: whatever the model, these steps are what is seen; move it by several "
                 f"steps, or use a finer sensor",
                 channel=f"pos.{name}",
                 value=step,
@@ -122,23 +122,25 @@ def _stop_if_all(found: list[Finding], joints: int) -> list[Finding]:
 
 
 def buried(model: Model, scatter: Scatter, limits: CheckLimits) -> list[Finding]:
-    """Joints whose motion is less than their noise, see ``CheckLimits.buried``."""
+    """Joints that never move, or whose positions are white noise as large as it is at rest and no more.
+
+    Of n samples of white noise Σ (x − mean)²/σ² is χ² of n − 1 degrees of freedom; what motion adds counts however
+    short it is, for that is the most by which any model of it could be better than none. Motion that second
+    differences take for noise, so that its σ is too large, shows in the spectrum; and where there was no rest to see
+    the noise in, nothing is called noise.
+    """
     found = list[Finding]()
     for name, own in _by_joint(scatter):
-        # Noise is part of how far positions scatter.
-        ratio, joint = max(
-            ((math.sqrt(max(j.deviation**2 / j.noise**2 - 1, 0.0)), j) for j in own),
-            key=lambda pair: (pair[0], pair[1].deviation),
-        )
-        if ratio > limits.buried:
+        if not all(j.fresh == 0 or _is_noise(j, limits.significance / len(own)) for j in own):
             continue
+        joint = max(own, key=lambda j: j.deviation)
         unit = display_units.error(model, name)
         if all(j.fresh == 0 for j in own):
             moves = "stays exactly where it is in every recording"
         else:
             moves = (
                 f"scatters by {text_of(unit, joint.deviation)} (standard deviation) where it moves most, which is "
-                f"its noise of {text_of(unit, joint.noise)} and little else"
+                f"its noise of {text_of(unit, joint.noise)} and nothing else"
             )
         found.append(
             Finding(
@@ -146,25 +148,14 @@ def buried(model: Model, scatter: Scatter, limits: CheckLimits) -> list[Finding]
                 "noise",
                 f"pos.{name} {moves}: nothing can be told of what moves it; record motion well above the noise",
                 channel=f"pos.{name}",
-                value=ratio,
+                value=joint.deviation,
+                unit="m" if model.robot.slides(name) else "rad",
             )
         )
     return _stop_if_all(found, len(scatter[0]))
 
 
-def backward(name: str, clock: Clock) -> list[Finding]:
-    """Stamps that do not ascend: no time between rows can be believed."""
-    if not clock.backward:
-        return []
-    rows = "1 stamp repeats" if clock.backward == 1 else f"{clock.backward} stamps repeat"
-    return [
-        Finding(
-            "stop",
-            "clock",
-            f"{name}: {rows} the one before or lie before it; times must ascend: drop rows that were written twice, or "
-            "sort them",
-            name,
-            "time",
-            float(clock.backward),
-        )
-    ]
+def _is_noise(joint: JointScatter, level: float) -> bool:
+    """Whether noise alone scatters as much, and with as uneven a spectrum, by chance, at a level."""
+    size = joint.rows * (joint.deviation / joint.noise) ** 2
+    return joint.at_rest and min(float(chdtrc(joint.rows - 1, size)), joint.white) > level

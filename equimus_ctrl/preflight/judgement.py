@@ -9,7 +9,7 @@ import numpy as np
 
 from equimus_ctrl.diagnosis import display_units
 from equimus_ctrl.models.model import Model
-from equimus_ctrl.preflight.findings import SEVERITIES, Finding, backward, buried, coarse, text_of
+from equimus_ctrl.preflight.findings import SEVERITIES, Finding, buried, coarse, text_of
 from equimus_ctrl.preflight.latency import Latency
 from equimus_ctrl.preflight.limits import LIMITS, CheckLimits
 from equimus_ctrl.preflight.runs import Repeats, RestPose
@@ -57,7 +57,7 @@ def _joints(signals: Sequence[Signals]) -> Iterator[tuple[str, list[JointSignal]
 
 
 def _clocks(model: Model, signals: Sequence[Signals], limits: CheckLimits) -> list[Finding]:
-    found = [finding for own in signals for finding in backward(own.name, own.clock)]
+    found = list[Finding]()
     bursts = [own for own in signals if own.clock.bursts > 0]
     if bursts:
         worst = max(bursts, key=lambda own: own.clock.bursts)

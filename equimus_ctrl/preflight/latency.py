@@ -1,9 +1,9 @@
 """How late a joint moves after a step of a command, from recordings alone: bounds, and no model.
 
-The dead time is at most what passes until motion is first seen beyond the noise: that is the upper bound, whatever the
-robot. How much less it can be depends on how motion begins. Behind a dead time d a joint at rest moves as c·(t − d)ⁿ,
-n = 1 where the command is a speed, 2 where it is a force on a mass, 3 and 4 where a lag or an elastic drive comes
-between;
+The dead time is at most what passes until motion is first seen beyond the noise, from the row before the step's on:
+that is the upper bound, whatever the robot. How much less it can be depends on how motion begins. Behind a dead time d
+a joint at rest moves as c·(t − d)ⁿ, n = 1 where the command is a speed, 2 where it is a force on a mass, 3 and 4 where
+a lag or an elastic drive comes between;
 and it shows the later the higher n is. For each n the d are found whose
 
     χ²(d) = min over c, a   Σ (x − a − c·max(t − d, 0)ⁿ)²/σ²
@@ -28,11 +28,12 @@ from equimus_ctrl.preflight.signals import Signals
 from equimus_ctrl.types import Array, Recording
 
 REST_BEFORE = 0.25
-"""A joint rests, and no command changes, for so long before a step that counts [s]."""
+"""A joint rests for so long before a step that counts [s]."""
 LEAST_BEFORE = 6
 """Rows of that at least."""
 HORIZON = 0.6
-"""Motion that begins later than so long after a step is not its [s]."""
+"""Motion that begins later than so long after a step is not its; and no command changes for so long before one that
+counts, nor another at the same row, for what moves then could be of either [s]."""
 CLEAR = 15.0
 """Standard deviations of the noise by which motion stands out at the end of what is looked at: beyond, powers of time
 describe no motion."""
@@ -78,11 +79,13 @@ class _Onset:
         since: (m,) time since the step [s].
         moved: (m,) position in standard deviations.
         seen: when motion is first beyond the noise [s].
+        before: from the row before the step's to it: what is logged at a row may have been sent since then [s].
     """
 
     since: Array
     moved: Array
     seen: float
+    before: float
 
 
 def latencies(
@@ -118,28 +121,34 @@ def _onsets(
     span = float(np.ptp(command[:, k]))
     if recording.linear or span == 0:
         return []
-    changes = np.flatnonzero(np.any(np.diff(command, axis=0) != 0, axis=1)) + 1
-    since = np.diff(time[changes], prepend=-math.inf)
-    own_steps = np.diff(command[:, k], prepend=command[0, k])[changes] != 0
+    moves = np.diff(command, axis=0) != 0
+    own, any_of, others = (
+        np.flatnonzero(moving) + 1
+        for moving in (moves[:, k], moves.any(axis=1), np.delete(moves, k, axis=1).any(axis=1))
+    )
     found = []
-    for place in np.flatnonzero(own_steps & (since > REST_BEFORE)):
-        row = int(changes[place])
+    for row in own.tolist():
+        # Motion may begin up to the horizon late, and of whichever command changed since then.
+        before = any_of[np.searchsorted(time[any_of], time[row] - HORIZON) :]
+        if before[0] < row or row in others:
+            continue
         first = int(np.searchsorted(time, time[row] - REST_BEFORE))
         if row - first < LEAST_BEFORE or time[first] > time[row] - REST_BEFORE / 2:
             continue
         if not signals.resting[first:row].all():
             continue
-        # The next change of any command may be another beginning; it only ends what is looked at.
-        later = changes[place + 1 :]
-        end = min(time[row] + HORIZON, time[later[0]] if len(later) else math.inf)
-        # A command that goes on changing from here, as along a ramp, is one beginning too.
-        if len(later) and later[0] == row + 1:
-            end = time[row] + HORIZON
-        own = (
+        # A command that goes on changing from here, as along a ramp, is one beginning; the next other change ends what
+        # is looked at, for it may be another.
+        ramp = row
+        while ramp < len(moves) and moves[ramp, k]:
+            ramp += 1
+        later = np.concatenate([time[own[own > ramp]], time[others[others > row]]])
+        end = min(time[row] + HORIZON, float(later.min(initial=math.inf)))
+        each = (
             _onset(time, recording.position[:, j], float(signals.noise[j]), first, row, end, limits)
             for j in _of(recording, joints)
         )
-        seen = [onset for onset in own if onset is not None]
+        seen = [onset for onset in each if onset is not None]
         if seen:
             found.append(min(seen, key=lambda onset: float(onset.since[-1])))
     return found
@@ -168,18 +177,19 @@ def _onset(time: Array, x: Array, noise: float, first: int, row: int, end: float
     if stop > last:
         return None
     moved = (x[first:stop] - x[first:row].mean()) / noise
-    return _Onset(time[first:stop] - time[row], moved, float(time[row + beyond[0]] - time[row]))
+    since = time - time[row]
+    return _Onset(since[first:stop], moved, float(since[row + beyond[0]]), float(-since[row - 1]))
 
 
 def _latency(actuator: str, onsets: Sequence[_Onset]) -> Latency:
     """The bounds that all steps together leave, see the module's law."""
     if not onsets:
         return Latency(actuator, 0.0, math.inf, 0)
-    high = min(onset.seen for onset in onsets)
-    delays = np.linspace(0.0, high, GRID)
+    seen = min(onset.seen for onset in onsets)
+    delays = np.linspace(0.0, seen, GRID)
     samples = sum(len(onset.since) for onset in onsets)
     freedom = max(samples - 2 * len(onsets) - 1, 1)
-    low = high
+    low = seen
     for order in ORDERS:
         costs = np.sum([_costs(onset, delays, order) for onset in onsets], axis=0)
         # Where the power does not describe the motion, what is left over counts as noise.
@@ -187,7 +197,8 @@ def _latency(actuator: str, onsets: Sequence[_Onset]) -> Latency:
         low = min(low, float(delays[costs <= costs.min() + FALL * spread][0]))
     # A delay is known no better than rows are apart.
     apart = float(np.median(np.concatenate([np.diff(onset.since) for onset in onsets])))
-    return Latency(actuator, max(min(low, high - apart), 0.0), high, len(onsets))
+    high = min(onset.seen + onset.before for onset in onsets)
+    return Latency(actuator, max(min(low, seen - apart), 0.0), high, len(onsets))
 
 
 def _costs(onset: _Onset, delays: Array, order: int) -> Array:

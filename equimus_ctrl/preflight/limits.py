@@ -15,10 +15,11 @@ class CheckLimits:
     significance: float = decided_by(
         1e-3,
         "",
-        "probability of seeing motion where there is noise alone: in a frequency, and behind a step of a command",
+        "probability of seeing motion where there is noise alone: in a frequency, behind a step of a command, and "
+        "in a joint's scatter",
         "theory",
-        "χ² of the estimate, with Bonferroni's correction for the number of frequencies or instants",
-        where="signals latency",
+        "χ² of the estimate, with Bonferroni's correction for the number of frequencies, instants or recordings",
+        where="findings signals latency",
     )
     gap: float = decided_by(
         5.0,
@@ -55,21 +56,13 @@ class CheckLimits:
         where="judgement signals",
     )
     coarse: float = decided_by(
-        1.0,
+        3.0,
         "steps of the sensor",
-        "standard deviation of a joint's positions below which its sensor's steps are no noise, but all there is",
+        "travel of a joint's measurements below which its sensor's steps are no noise, but all there is",
         "theory",
-        "of Gaussian signals with a standard deviation of one step or more the quantisation error is white, of "
-        "variance q²/12: Widrow & Kollár, Quantization Noise (2008)",
-        where="findings",
-    )
-    buried: float = decided_by(
-        1.0,
-        "noise",
-        "standard deviation of a joint's motion, what its positions scatter more than the noise, below which "
-        "nothing can be told of it",
-        "theory",
-        "a signal-to-noise ratio of one",
+        "from a standard deviation of one step on, the quantisation error is white, of variance q²/12 (Widrow & "
+        "Kollár, Quantization Noise, 2008); a sine that large travels 2√2 steps, which takes four values, and travel, "
+        "unlike the deviation, does not depend on how long a joint rests beside",
         where="findings",
     )
     flat: float = decided_by(

@@ -98,7 +98,6 @@ def _recording(own: Signals) -> dict[str, Any]:
         "jitter_s": clock.jitter,
         "gaps": [{"after_s": start, "length_s": length} for start, length in clock.gaps],
         "bursts_share": clock.bursts,
-        "repeated_stamps": clock.backward,
         "rests": [{"after_s": start, "length_s": length} for start, length in own.rests],
         "joints": {joint.name: _joint(joint) for joint in own.joints},
         "commands": {command.name: _command(command) for command in own.commands},

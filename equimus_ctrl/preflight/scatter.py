@@ -14,6 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import kolmogorov
 
 from equimus_ctrl.identification.noise import LEAST, noise_of_differences, step_of
 from equimus_ctrl.preflight.limits import LIMITS, CheckLimits
@@ -42,7 +43,6 @@ class Clock:
         jitter: standard deviation of the time between rows, gaps left out [s].
         gaps: (from, length) of times without rows [s], see ``CheckLimits.gap``.
         bursts: share of rows that come at once after the one before, see ``CheckLimits.burst``.
-        backward: rows whose stamp repeats or goes back.
     """
 
     rows: int
@@ -51,7 +51,6 @@ class Clock:
     jitter: float
     gaps: tuple[tuple[float, float], ...]
     bursts: float
-    backward: int
 
     @property
     def rate(self) -> float:
@@ -60,17 +59,16 @@ class Clock:
 
     @classmethod
     def of(cls, time: Array, limits: CheckLimits = LIMITS) -> Clock:
-        """Of the stamps (n,) of a recording [s]."""
+        """Of the stamps (n,) of a recording, which ascend [s]."""
         steps = np.diff(time)
         if not len(steps):
-            return cls(len(time), 0.0, math.inf, 0.0, (), 0.0, 0)
+            return cls(len(time), 0.0, math.inf, 0.0, (), 0.0)
         usual = float(np.median(steps))
         wide = steps > limits.gap * usual
         gaps = tuple((float(time[k]), float(steps[k])) for k in np.flatnonzero(wide))
         kept = steps[~wide]
-        bursts = float(np.mean((steps > 0) & (steps < limits.burst * usual)))
-        backward = int(np.count_nonzero(steps <= 0))
-        return cls(len(time), float(time[-1] - time[0]), usual, float(kept.std()), gaps, bursts, backward)
+        bursts = float(np.mean(steps < limits.burst * usual))
+        return cls(len(time), float(time[-1] - time[0]), usual, float(kept.std()), gaps, bursts)
 
 
 @dataclass(frozen=True)
@@ -86,6 +84,8 @@ class JointScatter:
         noise: standard deviation, at rest where there is rest; not less than the error of the steps [rad or m].
         at_rest: whether it is that at rest; else accelerations may make it larger.
         fresh: rows whose value is not that of the row before.
+        rows: how many.
+        white: probability that white noise has a spectrum as uneven as that of the positions.
     """
 
     name: str
@@ -96,6 +96,8 @@ class JointScatter:
     noise: float
     at_rest: bool
     fresh: int
+    rows: int
+    white: float
 
     @property
     def travel(self) -> float:
@@ -117,7 +119,16 @@ def scatter_and_rests(recording: Recording, clock: Clock) -> tuple[tuple[JointSc
     rows = zip(recording.joints, position.T, steps.tolist(), noise.tolist(), at_rest.tolist(), strict=True)
     return tuple(
         JointScatter(
-            name, float(x.min()), float(x.max()), float(x.std()), step, size, rest, int(np.count_nonzero(np.diff(x)))
+            name,
+            float(x.min()),
+            float(x.max()),
+            float(x.std()),
+            step,
+            size,
+            rest,
+            int(np.count_nonzero(np.diff(x))),
+            len(x),
+            whiteness(x),
         )
         for name, x, step, size, rest in rows
     ), resting
@@ -156,6 +167,21 @@ def block_noise(position: Array) -> Array:
     means = np.array([block.mean(axis=0) for block in np.array_split(second, max(len(second) // BLOCK, 1))])
     # Blocks in which nothing changes at all say nothing.
     return np.array([math.sqrt(float(np.median(own[own > 0])) / 6.0) if np.any(own > 0) else 0.0 for own in means.T])
+
+
+def whiteness(x: Array) -> float:
+    """Probability that white noise (n,) has a spectrum as uneven as x has, by Bartlett's test (1955).
+
+    The periodogram of white noise, summed from low to high frequencies and divided by the whole sum, is the empirical
+    distribution of uniform numbers: how far it strays from a straight line has Kolmogorov's distribution.
+    """
+    power = np.abs(np.fft.rfft(x - x.mean())[1 : (len(x) + 1) // 2]) ** 2
+    count = len(power) - 1
+    if count < 1 or not power.sum() > 0:
+        return 1.0
+    summed = np.cumsum(power)[:-1] / power.sum()
+    even = np.arange(1, count + 1) / (count + 1)
+    return float(kolmogorov(math.sqrt(count) * float(np.abs(summed - even).max())))
 
 
 def _resting(clock: Clock, position: Array, noise: Array) -> NDArray[np.bool_]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -23,7 +23,7 @@ from equimus_ctrl.preflight.latency import latencies
 from equimus_ctrl.preflight.result import CheckResult
 from equimus_ctrl.preflight.runs import repeats_of, rest_poses
 from equimus_ctrl.preflight.signals import Signals, signals_of
-from equimus_ctrl.types import Array, Recording
+from equimus_ctrl.types import Array
 from equimus_ctrl.workflow.identifications import with_file
 from equimus_ctrl.workflow.prepared import Given, prepared, read_given
 
@@ -81,7 +81,7 @@ def check(
             raise ConfigError(unknown_name("effect", name, REGISTRY))
     asked = _as_diagnosed(options)
     given = read_given(recordings, model, asked, Budget())
-    trials = [_within(trial, options.window) for trial in given.trials]
+    trials = given.judged
     progress("signals", 0.0)
     signals = tuple(signals_of(trial, model.robot.command_limits) for trial in trials)
     driven = {name: model.robot.driven_joints(name) for name in model.robot.actuator_names}
@@ -115,35 +115,13 @@ def _as_diagnosed(options: CheckOptions) -> DiagnoseOptions:
     )
 
 
-def _within(trial: Recording, window: tuple[float, float] | None) -> Recording:
-    """The part of a trial that counts.
-
-    Raises:
-        ConfigError: where it has too few rows to say anything.
-    """
-    if window is None:
-        return trial
-    rows = (trial.time >= window[0]) & (trial.time <= window[1])
-    if np.count_nonzero(rows) < 2:
-        raise ConfigError(
-            f"{trial.name}: has {np.count_nonzero(rows)} rows between {window[0]:g} and {window[1]:g} s, expected at "
-            f"least 2 (it lasts from {trial.time[0]:g} to {trial.time[-1]:g} s)"
-        )
-    return replace(
-        trial,
-        time=trial.time[rows],
-        command=trial.command[rows],
-        position=trial.position[rows],
-        velocity=None if trial.velocity is None else trial.velocity[rows],
-        measured=None if trial.measured is None else trial.measured[rows],
-        sites={name: values[rows] for name, values in trial.sites.items()},
-        before=trial.command[max(int(np.argmax(rows)) - 1, 0)],
-    )
-
-
 def _notes(model: Model, given: Given) -> list[Finding]:
-    told = (*preflight.other_joints(model.robot, given.trials), *preflight.coarse_steps(model.robot, given.trials))
-    return [Finding("note", "model" if k < len(told) - 1 else "quantisation", text) for k, text in enumerate(told)]
+    """What a report of a diagnosis would say of them before anything else."""
+    told = {
+        "model": preflight.other_joints(model.robot, given.trials),
+        "quantisation": preflight.coarse_steps(model.robot, given.judged),
+    }
+    return [Finding("note", about, sentence) for about, own in told.items() for sentence in own]
 
 
 def _known(

@@ -121,6 +121,11 @@ def export_model(
         raise ConfigError(unknown_name("format", format, FORMATS, "export"))
     presets.check_xml(path)
     outputs.check_new(path, options.force)
+    if near is not None and (own := _overwritten(path, near, model)):
+        raise ConfigError(
+            f"{path}: the model is read from {own}, which would be lost; expected another name (--output), with "
+            "--force too"
+        )
     if model.by_group:
         groups = [group for group, _ in model.by_group]
         raise ConfigError(
@@ -128,7 +133,7 @@ def export_model(
             f"model.in_group({groups[0]!r})"
         )
     kept, out = _without(model, options.leave_out)
-    folder = "" if near is None else presets.relative(_folder(near, model), path.parent)
+    folder = "" if near is None else presets.relative(_read_from(near, model).parent, path.parent)
     written = mjcf_of_model(kept, folder, options.timestep, [_label(e) for e in out])
     if written.unwritten:
         raise ConfigError(_refusal(model, written.unwritten))
@@ -166,7 +171,10 @@ def _of_mjcf(model: Model, folder: str, timestep: float | None, left: Sequence[s
     draft, ignored = Draft(own.mujoco), own.robot.edits.ignore
     drives = {drive.name: drive.index for drive in own.robot.actuators}
     # What acts between commands and drives is by the XML and by effects together.
-    unwritten, measured = write_effects(draft, model.effects, drives, own.robot.joint_names, own.valve, own.sensor)
+    given = own.robot.mujoco_model(timestep).actuator_delay[list(drives.values())]
+    unwritten, measured = write_effects(
+        draft, model.effects, drives, own.robot.joint_names, own.valve, own.sensor, given
+    )
     told = [*left, *_ignored(ignored), *(effect.label for effect in unwritten)]
     return Written(exported(own.robot, draft, told, folder, measured), tuple(unwritten), ignored)
 
@@ -181,7 +189,7 @@ def _of_elastic(model: Model, folder: str, timestep: float | None, left: Sequenc
     drives = {name: int(before.actuator(name).id) for name in robot.actuator_names}
     unwritten, measured = write_effects(
         draft, model.effects, drives, robot.joint_names, valve_settings(model.effects, robot.actuator_names),
-        sensor_settings(model.effects, robot.joint_names),
+        sensor_settings(model.effects, robot.joint_names), np.zeros(len(drives)),
     )  # fmt: skip
     copy_numbers(spec, draft.model)
     finish(spec, draft, measured)
@@ -245,8 +253,14 @@ def _ignored(names: Sequence[str]) -> list[str]:
     return [f"{name}, which is ignored" for name in names]
 
 
-def _folder(near: Path, model: Model) -> Path:
-    """Where the XML is that a model is read from by way of a file."""
+def _read_from(near: Path, model: Model) -> Path:
+    """The file that a robot is read from by way of a file: itself, or the XML that it names."""
     data = model.robot.to_dict()
     named = near.suffix.lower() in presets.MJCF or "mjcf" not in data
-    return near.parent if named else (near.parent / data["mjcf"]).parent
+    return near if named else near.parent / data["mjcf"]
+
+
+def _overwritten(path: Path, near: Path, model: Model) -> Path | None:
+    """Which of the files that a model is read from a file would be written over, by whichever name or link."""
+    both = (near, _read_from(near, model))
+    return next((own for own in both if path.exists() and own.exists() and path.samefile(own)), None)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -11,7 +11,16 @@ import numpy as np
 from equimus_ctrl.diagnosis import preflight
 from equimus_ctrl.diagnosis.budget import Budget
 from equimus_ctrl.diagnosis.diagnose import DiagnosisSettings
-from equimus_ctrl.diagnosis.holdout import Holdout, Split, check_settings, motion_problem, never_held_out, split
+from equimus_ctrl.diagnosis.holdout import (
+    LEAST_SAMPLES,
+    Holdout,
+    Split,
+    check_samples,
+    check_settings,
+    motion_problem,
+    never_held_out,
+    split,
+)
 from equimus_ctrl.diagnosis.hypothesis import default_free_parameters
 from equimus_ctrl.diagnosis.policy import SearchSettings
 from equimus_ctrl.diagnosis.servo_gains import ServoGain, servo_gains, told, with_servo_gains
@@ -21,8 +30,8 @@ from equimus_ctrl.identification.parameters import FreeParameters
 from equimus_ctrl.identification.simulators import Simulator
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.options import DiagnoseOptions
-from equimus_ctrl.preflight.findings import Finding, backward, stops, too_few
-from equimus_ctrl.preflight.scatter import Clock, JointScatter, scatter_of
+from equimus_ctrl.preflight.findings import Finding, stops, too_few
+from equimus_ctrl.preflight.scatter import JointScatter, scatter_of
 from equimus_ctrl.types import Recording
 from equimus_ctrl.workflow.groups import by_folder, check_enough, check_fitted
 from equimus_ctrl.workflow.identifications import choose, marked, simulator_of
@@ -39,13 +48,15 @@ class Given:
     Attributes:
         model: the nominal one.
         trials: all of them.
+        judged: of each the part that counts, see ``DiagnoseOptions.window``; simulated is it from its first row on.
         groups: of each trial the one that it belongs to; none where all are alike.
-        scatter: of each trial how its positions scatter.
+        scatter: of each of these parts how its positions scatter.
         stops: why a diagnosis of them means nothing.
     """
 
     model: Model
     trials: Sequence[Recording]
+    judged: Sequence[Recording]
     groups: Sequence[str]
     scatter: Sequence[Sequence[JointScatter]]
     stops: tuple[Finding, ...]
@@ -70,12 +81,40 @@ def read_given(recordings: Some, model: Model, options: DiagnoseOptions, budget:
         check_enough(groups, options)
     for trial in trials:
         check_columns(model, trial)
+        check_samples(trial, model.robot.traits.most_angle)
+    judged = [within(trial, options.window) for trial in trials]
     budget.check()
-    # What is not finite is refused before anything is simulated.
-    scatter = [scatter_of(trial) for trial in trials if np.isfinite(trial.position).all()]
-    found = tuple(meaningless(model, trials, scatter))
+    scatter = [scatter_of(trial) for trial in judged]
+    found = tuple(meaningless(model, judged, scatter))
     require_meaning(found, options.anyway)
-    return Given(model, trials, groups, scatter, found)
+    return Given(model, trials, judged, groups, scatter, found)
+
+
+def within(trial: Recording, window: tuple[float, float] | None) -> Recording:
+    """The part of a trial that counts.
+
+    Raises:
+        ConfigError: where it has too few rows to say anything.
+    """
+    if window is None:
+        return trial
+    rows = (trial.time >= window[0]) & (trial.time <= window[1])
+    if np.count_nonzero(rows) < LEAST_SAMPLES:
+        raise ConfigError(
+            f"{trial.name}: has {np.count_nonzero(rows)} rows between {window[0]:g} and {window[1]:g} s, too few to "
+            f"diagnose; expected at least {LEAST_SAMPLES} (it lasts from {trial.time[0]:g} to {trial.time[-1]:g} s)"
+        )
+    first = int(np.argmax(rows))
+    return replace(
+        trial,
+        time=trial.time[rows],
+        command=trial.command[rows],
+        position=trial.position[rows],
+        velocity=None if trial.velocity is None else trial.velocity[rows],
+        measured=None if trial.measured is None else trial.measured[rows],
+        sites={name: values[rows] for name, values in trial.sites.items()},
+        before=trial.command[first - 1] if first else trial.before,
+    )
 
 
 def meaningless(
@@ -86,12 +125,9 @@ def meaningless(
         preflight.check(model, trials)
     except ConfigError as error:
         yield Finding("stop", "conventions", str(error))
-    for trial in trials:
-        yield from backward(trial.name, Clock.of(trial.time))
     if problem := motion_problem(model, trials):
         yield Finding("stop", "excitation", problem)
-    if len(scatter) == len(trials):
-        yield from stops(model, scatter)
+    yield from stops(model, scatter)
 
 
 def require_meaning(findings: Sequence[Finding], anyway: bool) -> None:
@@ -127,7 +163,7 @@ def prepared(
         "still": options.anyway,
     }
     chosen = default_free_parameters(model, options.free, options.bounds, options.fix)
-    few = too_few(given.scatter, len(chosen.free)) if len(given.scatter) == len(trials) else []
+    few = too_few(given.scatter, len(chosen.free))
     require_meaning(few, options.anyway)
     gains: tuple[ServoGain, ...] = ()
     budget.check()
@@ -144,7 +180,7 @@ def prepared(
     check_settings(chosen, parts)
     check_fitted(groups, parts.train)
     search = SearchSettings(most_parts=options.most)
-    told_before = (*preflight.other_joints(model.robot, trials), *preflight.coarse_steps(model.robot, trials))
+    told_before = (*preflight.other_joints(model.robot, trials), *preflight.coarse_steps(model.robot, given.judged))
     notes = (
         *told_before,
         *preflight.left_out_at_first(trials, parts, options.window),

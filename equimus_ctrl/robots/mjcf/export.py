@@ -9,11 +9,14 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from equimus_ctrl.effects.native import Draft
+from equimus_ctrl.effects.native import Draft, unused
 from equimus_ctrl.robots.mjcf.held_bodies import held_tendons
 from equimus_ctrl.robots.mjcf.parts import surface_of, tether_of, with_parts_spec
 from equimus_ctrl.robots.mjcf.plan import Assets
 from equimus_ctrl.robots.mjcf.robot import MjcfRobot
+
+LINEAR = 1
+"""MuJoCo's ``interp`` of buffers that are read along lines between their samples."""
 
 
 def exported(
@@ -98,10 +101,12 @@ def copy_numbers(spec: Any, model: Any, joints_kept: Collection[str] = (), tendo
         actuator.gainprm, actuator.biasprm = model.actuator_gainprm[a], model.actuator_biasprm[a]
         actuator.biastype, actuator.dynprm = model.actuator_biastype[a], model.actuator_dynprm[a]
         actuator.dyntype, actuator.actearly = model.actuator_dyntype[a], bool(model.actuator_actearly[a])
+        added = actuator.delay != model.actuator_delay[a]
         actuator.delay = model.actuator_delay[a]
-        if model.actuator_delay[a]:
-            # Of a command that holds over whole steps the mean over a step.
+        if actuator.delay:
             _buffer(actuator, model)
+        if added:
+            actuator.interp = LINEAR  # of a command that holds over whole steps the mean over a step
         actuator.forcelimited, actuator.forcerange = model.actuator_forcelimited[a], model.actuator_forcerange[a]
         actuator.lengthrange = model.actuator_lengthrange[a]  # that of a muscle, which its force depends on
     for tendon in spec.tendons:
@@ -122,41 +127,41 @@ def finish(spec: Any, draft: Draft, measured: Mapping[str, tuple[float, float]])
     for edit in draft.edits:
         edit(spec)
     for name, (delay, scale) in measured.items():
-        if scale != 1.0:
-            _add_gauge(spec, name, scale)
+        gauge = _add_gauge(spec, name, scale) if scale != 1.0 else ""
         for sensor in _sensors(spec, name):
-            if scale != 1.0:
+            if gauge:
                 sensor.type, sensor.objtype = mujoco.mjtSensor.mjSENS_TENDONPOS, mujoco.mjtObj.mjOBJ_TENDON
-                sensor.objname = gauge_of(name)
+                sensor.objname = gauge
             if delay:
                 sensor.delay += delay
                 _buffer(sensor, draft.model)
+                sensor.interp = LINEAR
 
 
-def gauge_of(joint: str) -> str:
-    """What the tendon is called that is as long as a joint is measured to have turned."""
-    return f"{joint} measured"
-
-
-def _add_gauge(spec: Any, joint: str, scale: float) -> None:
-    tendon = spec.add_tendon(name=gauge_of(joint), springlength=[0.0, 0.0])
+def _add_gauge(spec: Any, joint: str, scale: float) -> str:
+    """The name of a new tendon that is as long as a joint is measured to have turned."""
+    name = unused(f"{joint} measured", spec.tendons)
+    tendon = spec.add_tendon(name=name, springlength=[0.0, 0.0])
     # Nothing of the file's defaults for tendons is to describe it.
     tendon.stiffness, tendon.damping, tendon.frictionloss, tendon.limited = [0.0] * 3, [0.0] * 3, 0.0, 0
     tendon.armature, tendon.actfrclimited = 0.0, 0
     tendon.wrap_joint(joint, scale)
+    return name
 
 
 def _buffer(late: Any, model: Any) -> None:
-    """Give something with a delay a buffer that holds it, linear between the samples in it."""
+    """Give something with a delay a buffer that holds it."""
     late.nsample = max(late.nsample, math.ceil(late.delay / model.opt.timestep - 1e-9))
-    late.interp = 1
 
 
 def _sensors(spec: Any, joint: str) -> list[Any]:
     """The sensors of a joint's position, or a new one, called as the column of a recording is."""
     kind = mujoco.mjtSensor.mjSENS_JOINTPOS
     own = [sensor for sensor in spec.sensors if sensor.type == kind and sensor.objname == joint]
-    return own or [spec.add_sensor(name=f"pos.{joint}", type=kind, objtype=mujoco.mjtObj.mjOBJ_JOINT, objname=joint)]
+    if own:
+        return own
+    name = unused(f"pos.{joint}", spec.sensors)
+    return [spec.add_sensor(name=name, type=kind, objtype=mujoco.mjtObj.mjOBJ_JOINT, objname=joint)]
 
 
 def fill_keyframes(spec: Any, before: Any) -> None:
