@@ -52,17 +52,22 @@ def proof_drawings(score: Score) -> style.Drawings:
 def confusion_figure(score: Score) -> Figure:
     """Truths against names, those that are strong alone; colours are shares of a row."""
     found = confusion(score.cases)
-    effects, beyond = drawn(score.robots), drawn(score.robots, OUTSIDE)
+    named = {name for row in found.values() for name in row}
+    # Effects that were neither drawn nor named would be empty rows and columns.
+    effects = [own for own in drawn(score.robots) if found.get(own) or own in named]
+    beyond = [own for own in drawn(score.robots, OUTSIDE) if found.get(own)]
     rows = [*effects, *beyond, NOTHING]
     # An effect of a user's may be found though it is not drawn.
-    others = {name for row in found.values() for name in row} - {*effects, UNEXPLAINED, CONSISTENT, FAILED}
+    others = named - {*effects, UNEXPLAINED, CONSISTENT, FAILED}
     columns = [*effects, *sorted(others), UNEXPLAINED, CONSISTENT]
     if any(FAILED in row for row in found.values()):
         columns.append(FAILED)
     counts = np.array([[found.get(row, {}).get(column, 0.0) for column in columns] for row in rows])
     total = counts.sum(axis=1, keepdims=True)
     shares = np.divide(counts, total, out=np.zeros_like(counts), where=total > 0)
-    figure = style.new_figure(12.5, 11.0, f"Confusion matrix, excess residual variance {STRONG:g} and more")
+    size = 2.6 + 0.22 * len(rows)
+    title = f"Confusion matrix, excess residual variance {STRONG:g} and more"
+    figure = style.new_figure(max(1.1 * size, 8.5), max(size, 4.0), title)
     axes = figure.add_subplot()
     right = np.zeros_like(shares, dtype=bool)
     for i, row in enumerate(rows):
@@ -265,7 +270,7 @@ def heldout_figure(score: Score) -> Figure:
     axes.yaxis.set_major_locator(MaxNLocator(integer=True))
     style.dress(
         axes,
-        title=f"{len(shares)} cases where exactly what is missing was found; the goal is dashed",
+        title=f"Cases where exactly what is missing was found: {len(shares)}; the goal is dashed",
         x="share of the excess residual variance [%]",
         y="cases",
     )

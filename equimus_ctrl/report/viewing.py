@@ -21,6 +21,8 @@ from equimus_ctrl.types import Array, Recording, Run
 
 FPS = 60.0
 SIZE = (1200, 800)
+LOOKED_AT = 50
+"""Poses that the camera is chosen by."""
 GHOST = "ghost/"
 GHOST_COLOUR = (0.35, 0.6, 0.9, 0.3)
 
@@ -63,7 +65,24 @@ def shown_of(run: Run, model: Model, recorded: Recording | None = None) -> Shown
     spec.attach(other, prefix=GHOST, frame=spec.worldbody.add_frame())
     both = spec.compile()
     assert both.nq == own.shape[1] + beside.shape[1]  # the ghost's bodies come last
-    return Shown(both, film.time, np.hstack([own, beside]), what)
+    qpos = np.hstack([own, beside])
+    _look_at(both, qpos)
+    return Shown(both, film.time, qpos, what)
+
+
+def _look_at(model: Any, qpos: Array) -> None:
+    """Have a viewer's camera begin with all that moves in sight."""
+    data, places = mujoco.MjData(model), []
+    solid = model.geom_type != int(mujoco.mjtGeom.mjGEOM_PLANE)
+    for pose in qpos[:: max(len(qpos) // LOOKED_AT, 1)]:
+        data.qpos[:] = pose
+        mujoco.mj_kinematics(model, data)
+        places.append(data.geom_xpos[solid].copy())
+    seen = np.concatenate(places)
+    if len(seen):
+        low, high = seen.min(axis=0), seen.max(axis=0)
+        model.stat.center[:] = (low + high) / 2
+        model.stat.extent = max(float(np.linalg.norm(high - low)), 1e-3)
 
 
 def _fade(spec: Any) -> None:
