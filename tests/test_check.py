@@ -338,7 +338,9 @@ def test_recordings_of_arms_are_not_stopped(folder: str, recordings_dir: Path) -
 def test_options_that_cannot_be_are_refused() -> None:
     with pytest.raises(ConfigError, match="there is no effect"):
         workflow.check(runs(), MODEL, exclude=["cogging"])
-    with pytest.raises(ConfigError, match="expected a time above 0"):
-        workflow.check(runs(), MODEL, budget=-1.0)
+    for quick in (True, False):
+        for budget in (-1.0, 0.0, float("nan")):
+            with pytest.raises(ConfigError, match="expected a time above 0"):
+                workflow.check(runs(), MODEL, budget=budget, quick=quick)
     with pytest.raises(ConfigError, match="rows between"):
         workflow.check(runs(), MODEL, window=(90.0, 91.0), quick=True)

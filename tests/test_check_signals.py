@@ -268,6 +268,37 @@ def test_repeats_are_found_and_what_differs_between_them() -> None:
     assert not [f for f in judgement.judged(one_joint(), same, [], (own,), ()) if f.about == "repeats"]
 
 
+def moved_by(starts: Array, late: float, seed: int) -> Recording:
+    """A joint that follows each of some steps at once, a little later in time; a row logs what was sent since."""
+    t = time_of(10.0)
+    command, x = np.zeros(len(t)), np.zeros(len(t))
+    for k, start in enumerate(starts):
+        command = np.where(t >= start + late, (k + 1) % 2, command)
+        x = x + (-1) ** k * np.clip(2 * (t - start - late), 0.0, 1.0)
+    return recording(x + rng(seed).normal(0, 1e-3, len(t)), command=command[:, None], name=f"late by {late:g} s")
+
+
+def differ(trials: list[Recording]) -> list[findings.Finding] | None:
+    """Differences between repeats; None where they are none."""
+    given = [signals_of(r, ANY) for r in trials]
+    found = repeats_of(trials, given)
+    said = judgement.judged(one_joint(), given, [], found, ())
+    return [f for f in said if f.about == "repeats"] if found else None
+
+
+@pytest.mark.parametrize("steps", [1, 2, 7])
+def test_runs_whose_commands_come_later_are_no_repeats_that_differ(steps: int) -> None:
+    starts = np.linspace(2.0, 8.0, steps)
+    first = moved_by(starts, 0.0, 0)
+    assert differ([first, moved_by(starts, 0.0, 1)]) == []
+    assert differ([first, moved_by(starts, DT, 1)]) == []
+    assert differ([first, moved_by(starts, 0.1, 1)]) is None
+    other = replace(first, position=first.position + np.where(first.time[:, None] > 5, 0.02, 0.0))
+    for late in (0.0, DT):
+        (said,) = differ([other, moved_by(starts, late, 1)]) or ()
+        assert said.channel == "pos.joint"
+
+
 def test_one_recording_with_more_noise_or_another_rate_is_told() -> None:
     given = [signals_of(recording(moved_and_rested(1e-3, k), name=f"t{k}"), ANY) for k in range(4)]
     assert not [f for f in judged(given) if f.about == "differences"]

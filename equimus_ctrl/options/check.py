@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from equimus_ctrl.errors import ConfigError
 from equimus_ctrl.options.fields import (
     NAMES,
     at_least,
@@ -72,3 +73,5 @@ class CheckOptions:
     def __post_init__(self) -> None:
         """Check the values."""
         at_least("threads", self.threads, 1)
+        if not self.budget > 0:
+            raise ConfigError(f"the budget is {self.budget:g} s, expected a time above 0")

@@ -3,9 +3,8 @@
 With J the derivatives of the nominal model's predictions by its parameters θ, whitened by the noise of the recordings,
 the free initial states projected out, no unbiased estimate has a smaller covariance than (JᵀJ)⁻¹ (Cramér, 1946; Rao,
 1945). An effect of size a changes predictions by c(a); with P the projection off J's columns, χ² = cᵀPc is what it
-would
-gain in −2Δln L in the mean. Where that is the acceptance threshold of ``diagnose``, it would be accepted every other
-time.
+would gain in −2Δln L in the mean beside the number of its parameters, which it gains where there is no effect. Where
+that is the acceptance threshold of ``diagnose``, it would be accepted every other time or more often.
 """
 
 from __future__ import annotations

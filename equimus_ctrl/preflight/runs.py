@@ -10,8 +10,10 @@ import numpy as np
 from equimus_ctrl.preflight.signals import Signals
 from equimus_ctrl.types import Array, Recording
 
-SAME_COMMANDS = 0.98
-"""Share of the instants at which two runs have the same commands that were given the same: at edges stamps differ."""
+SAME_LENGTH = 0.98
+"""Share of a run's length that a repeat of it has at least."""
+LATE = 1.5
+"""Rows by which commands of a repeat come earlier or later at most: one, and what times between rows scatter."""
 SAME = 1e-6
 """Of the range of a command: nearer ones are the same."""
 INSTANTS = 2000
@@ -69,7 +71,7 @@ def repeats_of(recordings: Sequence[Recording], signals: Sequence[Signals]) -> t
             groups.append([k])
         else:
             own.append(k)
-    return tuple(_spread([recordings[k] for k in g], [signals[k] for k in g]) for g in groups if len(g) > 1)
+    return tuple(_spread([recordings[k] for k in g], [signals[k] for k in g], span) for g in groups if len(g) > 1)
 
 
 def _instants(first: Recording, length: float) -> Array:
@@ -77,29 +79,60 @@ def _instants(first: Recording, length: float) -> Array:
     return np.linspace(0.0, length, rows)
 
 
-def _held(recording: Recording, since: Array) -> Array:
-    """(m, na) commands in force so long after the first row."""
-    rows = np.searchsorted(recording.time, recording.time[0] + since, side="right") - 1
-    return np.asarray(recording.command[np.maximum(rows, 0)])
+def _row(recordings: Sequence[Recording]) -> float:
+    """Longest usual time between rows [s]."""
+    return max(float(np.median(np.diff(r.time))) for r in recordings)
 
 
 def _same(first: Recording, other: Recording, span: Array) -> bool:
+    """Whether two runs were given the same commands, each within ``LATE`` rows."""
     lengths = [float(r.time[-1] - r.time[0]) for r in (first, other)]
-    apart = 2.0 * float(np.median(np.diff(first.time)))
-    if abs(lengths[0] - lengths[1]) > max(apart, (1 - SAME_COMMANDS) * lengths[0]):
+    late = LATE * _row((first, other))
+    if abs(lengths[0] - lengths[1]) > max(late, (1 - SAME_LENGTH) * lengths[0]):
         return False
-    since = _instants(first, min(lengths))
-    alike = np.all(np.abs(_held(first, since) - _held(other, since)) <= SAME * span, axis=1)
-    return bool(alike.mean() >= SAME_COMMANDS)
+    until = min(lengths) - late
+    return _given(first, other, until, late, span) and _given(other, first, until, late, span)
 
 
-def _spread(recordings: Sequence[Recording], signals: Sequence[Signals]) -> Repeats:
+def _given(first: Recording, other: Recording, until: float, late: float, span: Array) -> bool:
+    """Whether each command of a run, until so long after its first row, is one of another's about the same time."""
+    since, theirs = (r.time - r.time[0] for r in (first, other))
+    changed = np.concatenate([[True], np.any(np.abs(np.diff(first.command, axis=0)) > SAME * span, axis=1)])
+    wanted = changed & (since <= until)
+    low = np.maximum(np.searchsorted(theirs, since[wanted] - late, side="right") - 1, 0)
+    high = np.searchsorted(theirs, since[wanted] + late, side="right")
+    left = first.command[wanted]
+    unmet = np.ones(len(left), dtype=bool)
+    for k in range(int((high - low).max(initial=0))):
+        rows = np.minimum(low + k, high - 1)
+        unmet &= np.any(np.abs(other.command[rows] - left) > SAME * span, axis=1)
+    return not unmet.any()
+
+
+def _late(recordings: Sequence[Recording], span: Array) -> float:
+    """By how much time commands of repeats may differ; 0 where they change at the same times [s]."""
+    first = recordings[0]
+    since = first.time - first.time[0]
+    same = all(
+        r.command.shape == first.command.shape
+        and np.allclose(r.time - r.time[0], since, rtol=0, atol=SAME * _row([first]))
+        and bool(np.all(np.abs(r.command - first.command) <= SAME * span))
+        for r in recordings[1:]
+    )
+    return 0.0 if same else LATE * _row(recordings)
+
+
+def _spread(recordings: Sequence[Recording], signals: Sequence[Signals], span: Array) -> Repeats:
+    """How far repeats are apart, less what commands that came a little earlier or later make at the joints' speeds."""
     since = _instants(recordings[0], min(float(r.time[-1] - r.time[0]) for r in recordings))
     moved = np.array(
         [[np.interp(since, r.time - r.time[0], column) for column in r.position.T] for r in recordings]
     )  # (runs, nj, m)
     free = len(recordings) / (len(recordings) - 1)
     away = moved - moved.mean(axis=0)
+    if late := _late(recordings, span):
+        shift = late * np.abs(np.gradient(moved, since, axis=2)).max(axis=0)
+        away = np.sign(away) * np.maximum(np.abs(away) - shift, 0.0)
     spread = np.sqrt(free * (away**2).mean(axis=(0, 2)))
     offset = np.sqrt(free * (away.mean(axis=2) ** 2).mean(axis=0))
     noise = np.sqrt(np.mean([s.noise**2 for s in signals], axis=0))

@@ -19,8 +19,7 @@ FAST = 2.0
 LARGE = 4.0
 """Standard deviations of the noise, likewise."""
 MOST_UNEVEN = 2
-"""Between the few and the many rows that a clock of its own holds values for: of a camera at 60 Hz in rows at 97 "
-"Hz, 2."""
+"""Rows between the shortest and the longest times, but for a tenth each, that a clock of its own holds values for."""
 MOST_HELD = 20
 """Rows that a value is held at most; what stays for longer rests."""
 LEAST_MOVING = 50
