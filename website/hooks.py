@@ -7,6 +7,7 @@ the list that ``import equimus_ctrl`` offers, when the site is built, so they ca
 
 from __future__ import annotations
 
+import logging
 import posixpath
 import re
 from pathlib import Path
@@ -20,6 +21,7 @@ import reference
 ROOT = Path(__file__).resolve().parent.parent
 PAGES = ("CHANGELOG.md", "CONTRIBUTING.md", "README.md", "RELEASING.md", "SECURITY.md")
 """Pages of the checkout's root that are pages of the site."""
+log = logging.getLogger("mkdocs.hooks")
 LINK = re.compile(r"(\]\()([^)\s#]+)((?:#[^)\s]*)?\))")
 
 
@@ -41,6 +43,22 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
 def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Files) -> str:
     """Let links lead to where things stand on the site."""
     return translated(page.file.src_uri, markdown)
+
+
+def on_page_content(html: str, page: Page, config: MkDocsConfig, files: Files) -> str:
+    """Let links of notebooks lead to pages; MkDocs does that of Markdown alone."""
+    if not page.file.src_uri.endswith(".py"):
+        return html
+
+    def link(found: re.Match[str]) -> str:
+        uri = site_uri(page.file.src_uri, found[1])
+        target = None if uri is None else files.get_file_from_path(uri)
+        if target is None:
+            log.warning("%s links to %s, which is not there", page.file.src_uri, found[1])
+            return found[0]
+        return f'href="{target.url_relative_to(page.file)}{found[2] or ''}"'
+
+    return re.sub(r'href="([^":#]+\.(?:md|py))(#[^"]*)?"', link, html)
 
 
 def translated(page_uri: str, markdown: str) -> str:

@@ -29,9 +29,10 @@ from equimus_ctrl.report.diagnosis_figures import diagnosis_figures
 from equimus_ctrl.report.diagnosis_sentences import sentence
 from equimus_ctrl.report.diagnosis_text import headline
 
-recordings = "../examples/pendulum"
+examples = next(place for place in (Path("docs/examples"), Path("../examples")) if place.is_dir())
+recordings = examples / "pendulum"
 folder = Path(tempfile.mkdtemp())
-shutil.copy("../examples/pendulum.xml", folder)
+shutil.copy(examples / "pendulum.xml", folder)
 model = eq.load_model(folder / "pendulum.xml")
 
 # %% [markdown]

@@ -120,7 +120,8 @@ for name, done in runs.items():
 # you say so.
 
 # %%
-path = eq.run_scenario("track", "pid", model=arm, options={"site": "tip", "shape": "triangle"})
+options = {"site": "tip", "shape": "triangle"}
+path = eq.run_scenario("track", "pid", model=arm, effects=late, noise=1e-3, settings=folder / "pid.toml", options=options)
 print("distance of the tip from its path, RMSE [mm]:", (1e3 * path.score.site.rmse).round(2))
 
 # %% [markdown]
@@ -129,7 +130,8 @@ print("distance of the tip from its path, RMSE [mm]:", (1e3 * path.score.site.rm
 # A pole on a cart: one motor, two joints. Sampling MPC rolls plans out in MuJoCo, swings the pole up and balances it.
 
 # %%
-cart = eq.load_model("../examples/cartpole.xml")
+examples = next(place for place in (Path("docs/examples"), Path("../examples")) if place.is_dir())
+cart = eq.load_model(examples / "cartpole.xml")
 swing = eq.run_scenario("swing_up", "sampling", model=cart, noise=1e-3, seed=1, options={"duration": "4"})
 figure, axis = plt.subplots(figsize=(9, 3), layout="constrained")
 axis.plot(swing.run.time, np.degrees(swing.run.position[:, 1]), label="pole [°]")
