@@ -56,7 +56,8 @@ def on_page_content(html: str, page: Page, config: MkDocsConfig, files: Files) -
         if target is None:
             log.warning("%s links to %s, which is not there", page.file.src_uri, found[1])
             return found[0]
-        return f'href="{target.url_relative_to(page.file)}{found[2] or ''}"'
+        anchor = found[2] or ""
+        return f'href="{target.url_relative_to(page.file)}{anchor}"'
 
     return re.sub(r'href="([^":#]+\.(?:md|py))(#[^"]*)?"', link, html)
 

@@ -17,7 +17,7 @@ TAG = re.compile(r"\[/?(?:bold|dim|italic|/)\]")
 def page() -> str:
     """All verbs with their arguments, options and examples."""
     root = typer.main.get_command(app)
-    context = root.make_context("equimus-ctrl", [], resilient_parsing=True)
+    top = root.make_context("equimus-ctrl", [], resilient_parsing=True)
     parts = [
         "# Commands",
         "Made from the command itself when this site was built; `equimus-ctrl VERB --help` says the same.",
@@ -25,7 +25,7 @@ def page() -> str:
         "[completion](../completion.md). `python -m equimus_ctrl` is the same command.",
         _exit_codes(root),
     ]
-    for verb, context in commands(context):
+    for verb, context in commands(top):
         parts += _verb(verb, context)
     return "\n\n".join(parts) + "\n"
 

@@ -22,7 +22,8 @@ SIDES = {
 }
 ARM = """
 <mujoco><option gravity="0 0 0"/><worldbody><body name="upper"><joint name="shoulder" axis="0 1 0"/>
-<geom type="capsule" fromto="0 0 0 0 0 -0.3" size="0.02"/><site name="tip" pos="0 0 -0.3"/><body name="fore" pos="0 0 -0.3">
+<geom type="capsule" fromto="0 0 0 0 0 -0.3" size="0.02"/><site name="tip" pos="0 0 -0.3"/>
+<body name="fore" pos="0 0 -0.3">
 <joint name="elbow" axis="0 1 0"/><geom type="capsule" fromto="0 0 0 0 0 -0.3" size="0.02"/></body></body></worldbody>
 <actuator><motor name="shoulder_motor" joint="shoulder"/><motor name="elbow_motor" joint="elbow"/></actuator></mujoco>
 """
@@ -44,8 +45,8 @@ def page(proofs: Path) -> str:
         "them: [the two models](../physics.md#effects), [MJCF robots](../machines.md#effects). Your own: "
         "[adding an effect](../project/CONTRIBUTING.md#an-effect).",
         "*Taken for* adds up what diagnoses answered where this effect was all that was missing and had an excess "
-        f"residual variance of 0.3 or more, in {sets} sets of [blinded robots](../proof.md). A *½* is an effect named "
-        "beside another. No line means that none of these sets had it so.",
+        f"residual variance of 0.3 or more, in {sets} sets of [blinded robots](../proof.md). A fraction is an effect named "
+        "beside others. No line means that none of these sets had it so.",
     ]
     for side, title in SIDES.items():
         classes = [cls for _, cls in sorted(REGISTRY.items()) if cls.side == side]
@@ -71,7 +72,8 @@ def answers(proofs: Path) -> tuple[Mapping[str, Counter[str]], int]:
 
 def _overview(classes: list[type[Effect]]) -> str:
     rows = [
-        f"| [`{cls.name}`](#{cls.name}) | {cls.summary} | {', '.join(cls.sits_at)} | {_robots(cls)} |" for cls in classes
+        f"| [`{cls.name}`](#{cls.name}) | {cls.summary} | {', '.join(cls.sits_at)} | {_robots(cls)} |"
+        for cls in classes
     ]
     return "\n".join(["| effect | what it is | at | robots |", "| --- | --- | --- | --- |", *rows])
 

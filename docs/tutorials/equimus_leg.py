@@ -15,6 +15,7 @@
 # ## The published model
 
 # %%
+# %matplotlib inline
 import tempfile
 from pathlib import Path
 
@@ -28,7 +29,9 @@ from equimus_ctrl.report.diagnosis_sentences import sentence
 
 leg = eq.nominal_model()
 for actuator in leg.robot.actuators:
-    print(f"{actuator.name}: mass {actuator.mass} kg, stiffness {actuator.stiffness} N/m, area {1e4 * actuator.area:.2f} cm²")
+    print(
+        f"{actuator.name}: mass {actuator.mass} kg, stiffness {actuator.stiffness} N/m, area {1e4 * actuator.area:.2f} cm²"
+    )
 
 # %% [markdown]
 # Two models are made of this one description: a MuJoCo model whose actuators are 3-2-1 elements, which have the energy of
@@ -100,7 +103,7 @@ for name, done in runs.items():
     for k, axis in enumerate(axes):
         axis.plot(done.run.time, 1e3 * (done.run.position - done.run.reference)[:, k], label=name)
         axis.set(xlabel="time [s]", ylabel="tracking error [mrad]", title=done.run.spec.joints[k])
-axes[0].legend()
+_ = axes[0].legend()
 
 # %% [markdown]
 # ## From the command line

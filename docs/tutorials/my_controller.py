@@ -18,6 +18,7 @@
 # by the pressures that balance gravity and the actuators' stiffness there: feed-forward, without any feedback.
 
 # %%
+# %matplotlib inline
 import matplotlib.pyplot as plt
 import numpy as np
 
@@ -116,7 +117,9 @@ print("notes:", *checked.notes)
 
 # %%
 conditions = ["nominal", "noisy", "perturbed", "unmodelled_delay"]
-found = eq.compare(["foot_circle"], [FeedForward, Spring, "pid"], conditions, draws=1, scenario_options={"duration": "8"})
+found = eq.compare(
+    ["foot_circle"], [FeedForward, Spring, "pid"], conditions, draws=1, scenario_options={"duration": "8"}
+)
 for entry in found.entries:
     error = entry.failure or np.array2string(1e3 * entry.error.rmse, precision=1)
     print(f"{entry.condition:18s} {entry.controller:12s} {error} mrad")

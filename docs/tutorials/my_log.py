@@ -17,6 +17,7 @@
 # their place, see [logs](../logs.md).
 
 # %%
+# %matplotlib inline
 import shutil
 import tempfile
 from pathlib import Path
@@ -106,7 +107,7 @@ for name, done in runs.items():
     axis.plot(done.run.time, 1e3 * (done.run.position - done.run.reference)[:, 0], label=name)
     print(f"{name}: RMSE {1e3 * done.score.tracking.rmse[0]:.2f} mrad")
 axis.set(xlabel="time [s]", ylabel="tracking error [mrad]")
-axis.legend()
+_ = axis.legend()
 
 # %% [markdown]
 # ## From the command line

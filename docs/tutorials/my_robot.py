@@ -16,6 +16,7 @@
 # Any XML with hinges, slides, motors and servos will do, a URDF too. Here it is an arm of two joints, written on the spot.
 
 # %%
+# %matplotlib inline
 import json
 import tempfile
 from pathlib import Path
@@ -121,7 +122,9 @@ for name, done in runs.items():
 
 # %%
 options = {"site": "tip", "shape": "triangle"}
-path = eq.run_scenario("track", "pid", model=arm, effects=late, noise=1e-3, settings=folder / "pid.toml", options=options)
+path = eq.run_scenario(
+    "track", "pid", model=arm, effects=late, noise=1e-3, settings=folder / "pid.toml", options=options
+)
 print("distance of the tip from its path, RMSE [mm]:", (1e3 * path.score.site.rmse).round(2))
 
 # %% [markdown]
@@ -138,7 +141,7 @@ axis.plot(swing.run.time, np.degrees(swing.run.position[:, 1]), label="pole [°]
 axis.plot(swing.run.time, 100 * swing.run.position[:, 0], label="cart [cm]")
 axis.axhline(0, color="k", linewidth=0.8)
 axis.set(xlabel="time [s]", title="Swing-up of a cart-pole: upright is 0°")
-axis.legend()
+_ = axis.legend()
 
 # %% [markdown]
 # ## From the command line

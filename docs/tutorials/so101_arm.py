@@ -17,6 +17,7 @@
 # [an SO-101](../so101.md#your-own-arm).
 
 # %%
+# %matplotlib inline
 import warnings
 
 import matplotlib.pyplot as plt
