@@ -45,8 +45,8 @@ def page(proofs: Path) -> str:
         "them: [the two models](../physics.md#effects), [MJCF robots](../machines.md#effects). Your own: "
         "[adding an effect](../project/CONTRIBUTING.md#an-effect).",
         "*Taken for* adds up what diagnoses answered where this effect was all that was missing and had an excess "
-        f"residual variance of 0.3 or more, in {sets} sets of [blinded robots](../proof.md). A fraction is an effect named "
-        "beside others. No line means that none of these sets had it so.",
+        f"residual variance of 0.3 or more, in {sets} sets of [blinded robots](../proof.md). "
+        "A fraction is an effect named beside others. No line means that none of these sets had it so.",
     ]
     for side, title in SIDES.items():
         classes = [cls for _, cls in sorted(REGISTRY.items()) if cls.side == side]

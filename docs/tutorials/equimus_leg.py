@@ -8,9 +8,10 @@
 # %% [markdown]
 # # The EquiMus leg, from paper to augmented model
 #
-# Zhu et al. ("EquiMus", 2025) published a pneumatic leg of two joints and two linear elastic actuators: a mono-articular
-# one (MAA) across the hip, and a bi-articular one (BAA) across hip and knee. They also published a model of it and recordings.
-# You look at the model, compare it with the recordings, find a law that a leg's model lacks, and drive with the augmented model.
+# Zhu et al. ("EquiMus", 2025) published a pneumatic leg of two joints and two linear elastic actuators: a
+# mono-articular one (MAA) across the hip, and a bi-articular one (BAA) across hip and knee. They also published a model
+# of it and recordings. You look at the model, compare it with the recordings, find a law that a leg's model lacks, and
+# drive with the augmented model.
 #
 # ## The published model
 
@@ -29,14 +30,13 @@ from equimus_ctrl.report.diagnosis_sentences import sentence
 
 leg = eq.nominal_model()
 for actuator in leg.robot.actuators:
-    print(
-        f"{actuator.name}: mass {actuator.mass} kg, stiffness {actuator.stiffness} N/m, area {1e4 * actuator.area:.2f} cm²"
-    )
+    own = f"mass {actuator.mass} kg, stiffness {actuator.stiffness} N/m, area {1e4 * actuator.area:.2f} cm²"
+    print(f"{actuator.name}: {own}")
 
 # %% [markdown]
-# Two models are made of this one description: a MuJoCo model whose actuators are 3-2-1 elements, which have the energy of
-# real elastic rods, and the exact equations of motion, compiled. A sweep of pressures simulated by the first is predicted
-# by the second to some microradians:
+# Two models are made of this one description: a MuJoCo model whose actuators are 3-2-1 elements, which have the energy
+# of real elastic rods, and the exact equations of motion, compiled. A sweep of pressures simulated by the first is
+# predicted by the second to some microradians:
 
 # %%
 folder = Path(tempfile.mkdtemp())
@@ -46,7 +46,8 @@ print("RMSE of hip and knee [rad]:", eq.score_recordings(folder / "sweep.csv").r
 # %% [markdown]
 # ## Beside the real leg
 #
-# The recordings are not part of this project. `equimus-ctrl recordings fetch` gets them, `EQUIMUS_RECORDINGS` names their folder.
+# The recordings are not part of this project. `equimus-ctrl recordings fetch` gets them, `EQUIMUS_RECORDINGS` names
+# their folder.
 
 # %%
 triangle = leg_file("triangle")
@@ -64,13 +65,14 @@ else:
     axes[0].legend()
 
 # %% [markdown]
-# The model follows, late and with other amplitudes. What it lacks are laws of the valves: a threshold below which they stay
-# shut, a flow that limits filling, dead times. That diagnosis takes minutes and is told in [the real leg](../real_leg.md).
+# The model follows, late and with other amplitudes. What it lacks are laws of the valves: a threshold below which they
+# stay shut, a flow that limits filling, dead times. That diagnosis takes minutes and is told in [the real
+# leg](../real_leg.md).
 #
 # ## Find a missing law
 #
-# So that the answer can be compared with the truth, the leg here is a simulated one: its BAA's valve loses the first 4 kPa of
-# every command, and its angles are measured with 2 mrad of noise. The diagnosis is told nothing of that.
+# So that the answer can be compared with the truth, the leg here is a simulated one: its BAA's valve loses the first 4
+# kPa of every command, and its angles are measured with 2 mrad of noise. The diagnosis is told nothing of that.
 
 # %%
 dead_zone = eq.DeadZone("baa", threshold=4000.0)
@@ -86,8 +88,8 @@ diagnosis_figures(found)["summary"]
 # %% [markdown]
 # ## Drive with the augmented model
 #
-# The same PID leads the foot round a circle on the leg with the dead zone: once it computes with the initial model, once
-# with the augmented one.
+# The same PID leads the foot round a circle on the leg with the dead zone: once it computes with the initial model,
+# once with the augmented one.
 
 # %%
 options = {"duration": "8"}

@@ -70,9 +70,9 @@ print("RMSE [rad]:", loaded.score.tracking.rmse.round(4))
 # %% [markdown]
 # ## Feedback
 #
-# Each actuator gets more pressure in proportion to the length that is missing, and to the integral of that. The integral
-# is what evolves, so it lives in the state, and a run can be repeated bit for bit. While a command is beyond what
-# the valves give, the integral waits (anti-windup).
+# Each actuator gets more pressure in proportion to the length that is missing, and to the integral of that. The
+# integral is what evolves, so it lives in the state, and a run can be repeated bit for bit. While a command is beyond
+# what the valves give, the integral waits (anti-windup).
 
 
 # %%
@@ -126,8 +126,8 @@ for entry in found.entries:
 
 # %% [markdown]
 # Feedback halves what feed-forward leaves, and the PID is far ahead of both on the model it knows: it feeds forward the
-# forces that the motion needs, not only those of rest, and its gains were tuned on an ensemble of perturbed legs. A dead time
-# that it does not know of costs it most of that lead.
+# forces that the motion needs, not only those of rest, and its gains were tuned on an ensemble of perturbed legs. A
+# dead time that it does not know of costs it most of that lead.
 #
 # ## From the command line
 #

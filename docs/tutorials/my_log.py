@@ -11,10 +11,10 @@
 # You have recordings of a robot and a model of it that does not fit. You check what the recordings can tell, diagnose
 # which physics the model lacks, write the augmented model, and tune a controller on it.
 #
-# The robot is a pendulum with a motor. Its four recordings stand in `docs/examples/pendulum`: the motor's torque and the
-# measured angle, 100 times a second. They are simulated (`make_pendulum.py` has what is missing from the model), so you
-# can compare the answer with the truth. Logs of other programs (rosbag2, MCAP, LeRobot, CSV of any columns) are read in
-# their place, see [logs](../logs.md).
+# The robot is a pendulum with a motor. Its four recordings stand in `docs/examples/pendulum`: the motor's torque and
+# the measured angle, 100 times a second. They are simulated (`make_pendulum.py` has what is missing from the model), so
+# you can compare the answer with the truth. Logs of other programs (rosbag2, MCAP, LeRobot, CSV of any columns) are
+# read in their place, see [logs](../logs.md).
 
 # %%
 # %matplotlib inline
@@ -114,10 +114,10 @@ _ = axis.legend()
 #
 # ```sh
 # equimus-ctrl check docs/examples/pendulum --model docs/examples/pendulum.xml
-# equimus-ctrl diagnose docs/examples/pendulum --model docs/examples/pendulum.xml --report report --write-model augmented.toml
+# equimus-ctrl diagnose docs/examples/pendulum --model docs/examples/pendulum.xml --write-model augmented.toml
 # equimus-ctrl autotune pid --model augmented.toml --scenario step
 # equimus-ctrl export augmented.toml --output augmented.xml
 # ```
 #
-# The report is a page with all figures. How far such an answer can be trusted on your robot, `equimus-ctrl prove` tells
+# With `--report DIR` a page with all figures is written. How far such an answer can be trusted on your robot, `equimus-ctrl prove` tells
 # ([the proof](../proof.md)).

@@ -8,12 +8,13 @@
 # %% [markdown]
 # # My MJCF robot, tuned and driven
 #
-# You take a robot described by MuJoCo's XML (MJCF), drive it with controllers that nobody has tuned for it, tune one, and
-# take its tip along a path. At the end a robot with fewer actuators than joints swings up.
+# You take a robot described by MuJoCo's XML (MJCF), drive it with controllers that nobody has tuned for it, tune one,
+# and take its tip along a path. At the end a robot with fewer actuators than joints swings up.
 #
 # ## The robot
 #
-# Any XML with hinges, slides, motors and servos will do, a URDF too. Here it is an arm of two joints, written on the spot.
+# Any XML with hinges, slides, motors and servos will do, a URDF too. Here it is an arm of two joints, written on the
+# spot.
 
 # %%
 # %matplotlib inline
@@ -57,8 +58,8 @@ print("actuators:", *arm.robot.actuator_names)
 # ## Driven at once
 #
 # Where nobody has tuned gains, they follow from the robot: the PID's poles are placed as fast as the control period and
-# the usual dead time of drives allow, the LQR's and NMPC's weights follow from ranges and limits (Bryson's rule). `step`
-# moves each joint by a step from the keyframe.
+# the usual dead time of drives allow, the LQR's and NMPC's weights follow from ranges and limits (Bryson's rule).
+# `step` moves each joint by a step from the keyframe.
 
 # %%
 placed = eq.run_scenario("step", "pid", model=arm)
@@ -96,8 +97,8 @@ unseen = json.loads(tuned.record.read_text())["unseen"]
 print(f"median cost on robots never tuned on: first {unseen['start_median']:.4f}, tuned {unseen['median']:.4f}")
 
 # %% [markdown]
-# With these settings, noise of 1 mrad on the angles and a dead time of 20 ms in the shoulder's drive that the controller
-# does not know of:
+# With these settings, noise of 1 mrad on the angles and a dead time of 20 ms in the shoulder's drive that the
+# controller does not know of:
 
 # %%
 late = [eq.TransportDelay("shoulder_motor", delay=0.02)]
@@ -117,8 +118,8 @@ for name, done in runs.items():
 # %% [markdown]
 # ## The tip along a triangle
 #
-# `track` takes a site along a path. Where the path lies and how large it is follows from what the site can reach, unless
-# you say so.
+# `track` takes a site along a path. Where the path lies and how large it is follows from what the site can reach,
+# unless you say so.
 
 # %%
 options = {"site": "tip", "shape": "triangle"}

@@ -11,10 +11,10 @@
 # You have a servo arm of five joints, its published model, and recordings of goals and positions. You estimate the
 # servos' real stiffness, damping and friction, and see how much better the model predicts motions that were not fitted.
 #
-# The recordings are those of a real SO-101 (`isaac-sim2real/sage`, Apache-2.0), twelve motions of one to two minutes. They
-# are not part of this project: this page reads them from the folder that `EQUIMUS_RECORDINGS` names, or from
-# `../shared/recordings` beside the checkout. Yours go in their place: how to record them stands in
-# [an SO-101](../so101.md#your-own-arm).
+# The recordings are those of a real SO-101 (`isaac-sim2real/sage`, Apache-2.0), twelve motions of one to two minutes.
+# They are not part of this project: this page reads them from the folder that `EQUIMUS_RECORDINGS` names, or from
+# `../shared/recordings` beside the checkout. Yours go in their place: how to record them stands in [an
+# SO-101](../so101.md#your-own-arm).
 
 # %%
 # %matplotlib inline
@@ -36,8 +36,9 @@ if so101 is None:
 # %% [markdown]
 # ## The published model
 #
-# `so101.xml` is the published model without meshes. Its servos have a stiffness of 998 N·m/rad by its authors' estimate:
-# every joint is where its goal is. Three motions are fitted, one judges; each is cut to some seconds, to keep this page short.
+# `so101.xml` is the published model without meshes. Its servos have a stiffness of 998 N·m/rad by its authors'
+# estimate: every joint is where its goal is. Three motions are fitted, one judges; each is cut to some seconds, to keep
+# this page short.
 
 # %%
 FITTED, JUDGING = ["friction_gravity", "step_response", "single_joint_rotation"], "single_joint_wrist_pitch"
@@ -52,8 +53,9 @@ if so101 is not None:
 # %% [markdown]
 # ## Identify the servos
 #
-# Masses are taken to be known, and the motors' currents, which were recorded too, are not compared. Free are each servo's stiffness `kp` and damping and each joint's dry friction. Trials are
-# cut into intervals with free initial states (multiple shooting), because errors grow along a motion.
+# Masses are taken to be known, and the motors' currents, which were recorded too, are not compared. Free are each
+# servo's stiffness `kp` and damping and each joint's dry friction. Trials are cut into intervals with free initial
+# states (multiple shooting), because errors grow along a motion.
 
 # %%
 if so101 is not None:
