@@ -119,5 +119,5 @@ _ = axis.legend()
 # equimus-ctrl export augmented.toml --output augmented.xml
 # ```
 #
-# With `--report DIR` a page with all figures is written. How far such an answer can be trusted on your robot, `equimus-ctrl prove` tells
-# ([the proof](../proof.md)).
+# With `--report DIR` a page with all figures is written. How far such an answer can be trusted on your robot,
+# `equimus-ctrl prove` tells ([the proof](../proof.md)).

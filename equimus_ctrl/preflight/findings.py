@@ -153,7 +153,7 @@ def buried(model: Model, scatter: Scatter, limits: CheckLimits) -> list[Finding]
 
 
 def backward(name: str, clock: Clock) -> list[Finding]:
-    """Stamps that do not ascend: no time between rows can be believed."""
+    """Stamps that do not ascend: no time between rows means anything."""
     if not clock.backward:
         return []
     rows = "1 stamp repeats" if clock.backward == 1 else f"{clock.backward} stamps repeat"
