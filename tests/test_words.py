@@ -41,7 +41,6 @@ PRIVATE = {
     r"narrowing area": "length-dependent effective area",
     r"sizes over the middle": "normalised by the median",
     r"\bstrays?\b": "standard deviation",
-    r"\brivals?\b": "alternatives",
 }
 """Private phrase → what to say."""
 PAGES = ("README.md", "CONTRIBUTING.md", "SECURITY.md", "RELEASING.md", "docs/**/*.md", ".github/**/*.md")

@@ -48,10 +48,10 @@ MISSED = 1e-3
 
 @dataclass(frozen=True)
 class LqrSettings(FileSettings):
-    """Settings of the regulator. An error as large as its acceptable deviation costs as much as an effort as large as its own.
+    """Settings of the regulator. An error as large as is acceptable costs as much as an effort as large as is.
 
     Attributes:
-        angle: acceptable deviation of angles [rad]; of a robot whose commands are no pressures by half the joints' ranges.
+        angle: acceptable error of angles [rad]; of a robot whose commands are no pressures by half the joints' ranges.
         rate: of velocities [rad/s], where commands are pressures.
         pressure: of commands beyond what the reference asks for [Pa], where they are pressures.
         bandwidth: of any other robot, from which these two and the observer follow (``controllers.allowances``) [Hz]; 0

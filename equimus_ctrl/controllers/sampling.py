@@ -2,10 +2,10 @@
 
 Where a robot's joints can follow a path, a plan is a spline of commands beyond what the regulator of
 ``controllers.lqr`` would do along that path, in half their ranges; of any other robot it looks where it leads, see
-``controllers.sampling_policies``. Its cost is that of the NMPC: errors and efforts in acceptable deviations, and the regulator's
-cost behind the horizon. The nominal plan of the instant before, shifted, is always tried, and what the regulator itself
-would do, which is followed where no plan costs less: at rest nothing wanders. The generator's numbers follow from the
-seed and the instant, so that a run gives the same bits each time.
+``controllers.sampling_policies``. Its cost is that of the NMPC: errors and efforts in acceptable deviations, and the
+regulator's cost behind the horizon. The nominal plan of the instant before, shifted, is always tried, and what the
+regulator itself would do, which is followed where no plan costs less: at rest nothing wanders. The generator's numbers
+follow from the seed and the instant, so that a run gives the same bits each time.
 """
 
 from __future__ import annotations

@@ -94,7 +94,7 @@ class Extensions(Scoring):
             tried: the history so far.
             fitted: what they add to.
             replacing: label of a candidate that is not tried, to find others in its place.
-            alternative: the hypothesis with that candidate: what stays far behind it need not be fitted whole.
+            rival: the hypothesis with that candidate: what stays far behind it need not be fitted whole.
 
         Raises:
             BudgetSpent: where the budget ends.
@@ -112,19 +112,19 @@ class Extensions(Scoring):
         return options, replace(tried, extended={**tried.extended, **entry})
 
     def _listed_from(self, fitted: Fitted, rival: Fitted) -> RivalDeviance:
-        """Deviance up to which another part of one parameter may fit as well as the alternative's and is listed."""
+        """Deviance up to which another part of one parameter may fit as well as the rival's and is listed."""
         saved = (extra_parameters(fitted, rival) - 1) * float(np.log(self.data.n))
         return lambda t: rival.deviance + saved + self.equally_good(t) + t.step_scatter
 
     def _measured_against_less(self, known: Extended, rival: RivalDeviance) -> bool:
-        """Whether known extensions had to come nearer than to an alternative, so that some are not fitted far enough."""
+        """Whether known extensions had to come nearer than to a rival, so that some are not fitted far enough."""
         return self.data.thresholds.decides(lambda t: known.rival(t) < rival(t))
 
     def _serves(self, known: Extended, options: Sequence[Fitted], fitted: Fitted, rival: RivalDeviance) -> bool:
         """Whether extensions of an earlier fit do for one of the same hypothesis that ended lower.
 
         Extensions of the lower one may end lower too, by ``SearchSettings.optimism`` times as much. Where even then
-        none reaches the alternative, a deviance to come near to, they decide nothing.
+        none reaches the rival, a deviance to come near to, they decide nothing.
         """
         lower = known.base.deviance - fitted.deviance
         if lower <= CONVERGED_GAIN:
@@ -147,7 +147,7 @@ class Extensions(Scoring):
             fitted: what they add to.
             replaced: label of a candidate that is not tried.
             known: labels of those that are known; None where only promising ones are to be fitted.
-            alternative: deviance that they have to come near to.
+            rival: deviance that they have to come near to.
 
         Raises:
             BudgetSpent: where the budget ends.
@@ -290,7 +290,7 @@ class Extensions(Scoring):
     def _coarse_fits(self, fitted: Fitted, proposals: Sequence[Proposal], rival: RivalDeviance) -> list[Fitted]:
         """Those that can be simulated, after a few steps, the best score first.
 
-        Not those whose hope, times ``SearchSettings.optimism``, is less than what the best one gains, or the alternative, or
+        Not those whose hope, times ``SearchSettings.optimism``, is less than what the best one gains, or the rival, or
         than the acceptance threshold.
         """
         options, noise = list[Fitted](), white_noise(fitted.fit.residuals)
@@ -334,7 +334,7 @@ class Extensions(Scoring):
         """Coarse fits, best first, of which the first few that are close to the best are fitted until converged.
 
         Where fits have few minima, also others close to it that were still gaining: their rank is not known yet. Not
-        those that after some more steps lack more than a share of what the alternative gains, or gain too little of what
+        those that after some more steps lack more than a share of what the rival gains, or gain too little of what
         they have to, nor those that would even with ``SearchSettings.optimism``: they do not reach it.
         """
         settings, thresholds = self.settings, self.data.thresholds
@@ -384,7 +384,7 @@ class Extensions(Scoring):
             fitted: what was extended.
             coarse: the fits that options come from, in their order.
             options: of which those that differ from their coarse fits were fitted on.
-            alternative: see ``_best_converged``.
+            rival: see ``_best_converged``.
         """
         ranked = sorted(range(len(options)), key=lambda k: self.score(options[k]))
         found = list(options)

@@ -125,8 +125,8 @@ class Thresholds:
     as_simulated: float = decided_by(
         0.1,
         "",
-        "recordings are taken for MuJoCo's where they show its discretisation error once, give or take this share of it or "
-        "what noise leaves open",
+        "recordings are taken for MuJoCo's where they show its discretisation error once, give or take this share of "
+        "it or what noise leaves open",
         "convention",
         "the error is known to first order, at parameters that have taken up some of it; a robot shows it 0 times",
         where="simulated",
@@ -134,8 +134,8 @@ class Thresholds:
     step_unsure: float = decided_by(
         0.01,
         "of the discretisation error",
-        "where MuJoCo made the recordings, residuals below this share of its discretisation error are no physics: what it is "
-        "depends on the motion, and is known to first order",
+        "where MuJoCo made the recordings, residuals below this share of its discretisation error are no physics: what "
+        "it is depends on the motion, and is known to first order",
         "convention",
         "after the last round it changes by far less; where friction stops a joint it changes by steps",
         where="simulated",

@@ -53,7 +53,7 @@ class Extended:
     Attributes:
         base: the fit that was extended.
         options: hypotheses with one more part, fitted.
-        alternative: deviance that the options had to come near to, by some thresholds; inf without one.
+        rival: deviance that the options had to come near to, by some thresholds; inf without one.
     """
 
     base: Fitted

@@ -72,7 +72,7 @@ class Answer:
             has no solution or none was found.
         iterations: how many linearised programs were solved.
         step: the last one's largest change of an input, in acceptable deviations.
-        defect: the largest by which a step misses the next state, in acceptable deviations of angle and rate and pressure.
+        defect: the largest by which a step misses the next state, in acceptable deviations of angle, rate and pressure.
         cost: of the plan that the last program was made about.
         reason: why it failed.
     """
@@ -407,7 +407,7 @@ class _Limits:
 
 @dataclass(frozen=True, eq=False)
 class _Linearised:
-    """Of a plan: cost, largest defect in acceptable deviations, (nx,) sums of its defects, (nx, n·nx) its steps' derivatives."""
+    """Of a plan: cost, largest defect (acceptable = 1), (nx,) sums of defects, (nx, n·nx) its steps' derivatives."""
 
     cost: float
     defect: float
