@@ -13,6 +13,7 @@ import re
 from pathlib import Path
 
 import reference
+from lists import aligned
 from mkdocs.config.defaults import MkDocsConfig
 from mkdocs.structure.files import File, Files
 from mkdocs.structure.pages import Page
@@ -40,8 +41,8 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
 
 
 def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Files) -> str:
-    """Let links lead to where things stand on the site."""
-    return translated(page.file.src_uri, markdown)
+    """Let links lead to where things stand on the site, and lists be lists."""
+    return aligned(translated(page.file.src_uri, markdown))
 
 
 def on_page_content(html: str, page: Page, config: MkDocsConfig, files: Files) -> str:
