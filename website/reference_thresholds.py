@@ -12,7 +12,7 @@ def page() -> str:
         "# Thresholds",
         "The numbers by which `diagnose` accepts or rejects, and by which `check` speaks up; "
         "`equimus-ctrl list thresholds` says the same. "
-        "How answers depend on them: [the proof](../proof.md#how-the-answers-depend-on-the-thresholds).",
+        "How answers depend on them: [the proof](../evidence/proof_thresholds.md).",
     ]
     for title, listed in (("Diagnosis", Thresholds.listed()), ("Check of recordings", CheckLimits.listed())):
         rows = [

@@ -20,10 +20,9 @@
 import tempfile
 from pathlib import Path
 
+import equimus_ctrl as eq
 import matplotlib.pyplot as plt
 import numpy as np
-
-import equimus_ctrl as eq
 from equimus_ctrl.recordings.locate import leg_file
 from equimus_ctrl.report.diagnosis_figures import diagnosis_figures
 from equimus_ctrl.report.diagnosis_sentences import sentence
@@ -52,11 +51,16 @@ print("RMSE of hip and knee [rad]:", eq.score_recordings(folder / "sweep.csv").r
 # %%
 triangle = leg_file("triangle")
 if triangle is None:
-    print("The recordings are not here, so this cell shows nothing; the page on the real leg has its figures.")
+    print(
+        "The recordings are not here, so this cell shows nothing; the page on the real leg has its figures."
+    )
 else:
     trial = eq.read_recording(triangle, leg)
     predicted = eq.predict(leg, trial)
-    print("RMSE of hip and knee [rad]:", np.sqrt(np.mean((trial.position - predicted) ** 2, axis=0)).round(4))
+    print(
+        "RMSE of hip and knee [rad]:",
+        np.sqrt(np.mean((trial.position - predicted) ** 2, axis=0)).round(4),
+    )
     figure, axes = plt.subplots(1, 2, figsize=(9, 3), layout="constrained")
     for k, axis in enumerate(axes):
         axis.plot(trial.time, np.degrees(trial.position[:, k]), label="measured")
@@ -76,7 +80,13 @@ else:
 
 # %%
 dead_zone = eq.DeadZone("baa", threshold=4000.0)
-eq.run_scenario("chirp", effects=[dead_zone], noise=2e-3, record=folder / "unknown.csv", options={"duration": "12"})
+eq.run_scenario(
+    "chirp",
+    effects=[dead_zone],
+    noise=2e-3,
+    record=folder / "unknown.csv",
+    options={"duration": "12"},
+)
 found = eq.diagnose_recordings(folder / "unknown.csv", threads=1)
 print("verdict:", found.verdict)
 for finding in found.findings:
@@ -94,17 +104,31 @@ diagnosis_figures(found)["summary"]
 # %%
 options = {"duration": "8"}
 runs = {
-    "knows the initial model": eq.run_scenario("foot_circle", "pid", effects=[dead_zone], options=options),
+    "knows the initial model": eq.run_scenario(
+        "foot_circle", "pid", effects=[dead_zone], options=options
+    ),
     "knows the augmented model": eq.run_scenario(
-        "foot_circle", "pid", effects=[dead_zone], nominal=found.corrected, options=options
+        "foot_circle",
+        "pid",
+        effects=[dead_zone],
+        nominal=found.corrected,
+        options=options,
     ),
 }
 figure, axes = plt.subplots(1, 2, figsize=(9, 3), sharey=True, layout="constrained")
 for name, done in runs.items():
     print(f"{name}: RMSE {(1e3 * done.score.tracking.rmse).round(1)} mrad")
     for k, axis in enumerate(axes):
-        axis.plot(done.run.time, 1e3 * (done.run.position - done.run.reference)[:, k], label=name)
-        axis.set(xlabel="time [s]", ylabel="tracking error [mrad]", title=done.run.spec.joints[k])
+        axis.plot(
+            done.run.time,
+            1e3 * (done.run.position - done.run.reference)[:, k],
+            label=name,
+        )
+        axis.set(
+            xlabel="time [s]",
+            ylabel="tracking error [mrad]",
+            title=done.run.spec.joints[k],
+        )
 _ = axes[0].legend()
 
 # %% [markdown]

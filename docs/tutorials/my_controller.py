@@ -19,10 +19,9 @@
 
 # %%
 # %matplotlib inline
+import equimus_ctrl as eq
 import matplotlib.pyplot as plt
 import numpy as np
-
-import equimus_ctrl as eq
 
 
 class FeedForward:
@@ -45,11 +44,21 @@ print("RMSE of hip and knee [rad]:", done.score.tracking.rmse.round(4))
 
 # %%
 def shown(runs, title):
-    figure, axes = plt.subplots(1, 2, figsize=(9, 3), sharex=True, layout="constrained")
+    figure, axes = plt.subplots(
+        1, 2, figsize=(9, 3), sharex=True, layout="constrained"
+    )
     for k, joint in enumerate(("hip", "knee")):
         for name, done in runs.items():
-            axes[k].plot(done.run.time, np.degrees(done.run.position[:, k]), label=name)
-        axes[k].plot(done.run.time, np.degrees(done.run.reference[:, k]), "k--", linewidth=1, label="reference")
+            axes[k].plot(
+                done.run.time, np.degrees(done.run.position[:, k]), label=name
+            )
+        axes[k].plot(
+            done.run.time,
+            np.degrees(done.run.reference[:, k]),
+            "k--",
+            linewidth=1,
+            label="reference",
+        )
         axes[k].set(xlabel="time [s]", ylabel=f"{joint} [°]")
     axes[0].legend()
     figure.suptitle(title)
@@ -82,21 +91,38 @@ class Spring:
 
     def init(self, spec, observation):
         limits = spec.command_low, spec.command_high
-        return eq.Kinematics(spec.model, spec.phase), limits, np.zeros(2), observation.time
+        return (
+            eq.Kinematics(spec.model, spec.phase),
+            limits,
+            np.zeros(2),
+            observation.time,
+        )
 
     def step(self, observation, reference, state):
         kinematics, (low, high), integral, before = state
         wanted = reference.position(observation.time)
-        missing = kinematics.lengths(wanted) - kinematics.lengths(observation.position)
-        area = np.array([actuator.area for actuator in kinematics.morphology.actuators])
-        command = kinematics.static_pressure(wanted) + (self.stiffness * missing + integral) / area
+        missing = kinematics.lengths(wanted) - kinematics.lengths(
+            observation.position
+        )
+        area = np.array(
+            [actuator.area for actuator in kinematics.morphology.actuators]
+        )
+        command = (
+            kinematics.static_pressure(wanted)
+            + (self.stiffness * missing + integral) / area
+        )
         free = (command > low) & (command < high)
-        integral = integral + free * self.rate * missing * (observation.time - before)
+        integral = integral + free * self.rate * missing * (
+            observation.time - before
+        )
         return command, (kinematics, (low, high), integral, observation.time)
 
 
 sprung = eq.run_scenario("hold", Spring, effects=[load], options=pose)
-shown({"feed-forward": loaded, "with feedback": sprung}, "100 g at the foot that the model does not have")
+shown(
+    {"feed-forward": loaded, "with feedback": sprung},
+    "100 g at the foot that the model does not have",
+)
 
 # %% [markdown]
 # ## Does it keep what plants expect?
@@ -118,7 +144,11 @@ print("notes:", *checked.notes)
 # %%
 conditions = ["nominal", "noisy", "perturbed", "unmodelled_delay"]
 found = eq.compare(
-    ["foot_circle"], [FeedForward, Spring, "pid"], conditions, draws=1, scenario_options={"duration": "8"}
+    ["foot_circle"],
+    [FeedForward, Spring, "pid"],
+    conditions,
+    draws=1,
+    scenario_options={"duration": "8"},
 )
 for entry in found.entries:
     error = entry.failure or np.array2string(1e3 * entry.error.rmse, precision=1)

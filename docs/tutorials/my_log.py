@@ -22,15 +22,18 @@ import shutil
 import tempfile
 from pathlib import Path
 
+import equimus_ctrl as eq
 import matplotlib.pyplot as plt
 import numpy as np
-
-import equimus_ctrl as eq
 from equimus_ctrl.report.diagnosis_figures import diagnosis_figures
 from equimus_ctrl.report.diagnosis_sentences import sentence
 from equimus_ctrl.report.diagnosis_text import headline
 
-examples = next(place for place in (Path("docs/examples"), Path("../examples")) if place.is_dir())
+examples = next(
+    place
+    for place in (Path("docs/examples"), Path("../examples"))
+    if place.is_dir()
+)
 recordings = examples / "pendulum"
 folder = Path(tempfile.mkdtemp())
 shutil.copy(examples / "pendulum.xml", folder)
@@ -90,7 +93,12 @@ figures["finding_1"]
 eq.save_model(folder / "augmented.toml", found.corrected)
 print((folder / "augmented.toml").read_text())
 after = eq.score_recordings(recordings, eq.load_model(folder / "augmented.toml"))
-print("RMSE [rad]: initial", np.round(before.rmse, 4), "augmented", np.round(after.rmse, 4))
+print(
+    "RMSE [rad]: initial",
+    np.round(before.rmse, 4),
+    "augmented",
+    np.round(after.rmse, 4),
+)
 
 # %% [markdown]
 # A controller that computes with the augmented model pushes against the friction it knows of. Both runs are on the
@@ -99,12 +107,20 @@ print("RMSE [rad]: initial", np.round(before.rmse, 4), "augmented", np.round(aft
 # %%
 move = {"waypoints": "hinge=40; hinge=-20; hinge=0"}
 runs = {
-    "knows the initial model": eq.run_scenario("track", "pid", model=found.corrected, nominal=model, options=move),
-    "knows the augmented model": eq.run_scenario("track", "pid", model=found.corrected, options=move),
+    "knows the initial model": eq.run_scenario(
+        "track", "pid", model=found.corrected, nominal=model, options=move
+    ),
+    "knows the augmented model": eq.run_scenario(
+        "track", "pid", model=found.corrected, options=move
+    ),
 }
 figure, axis = plt.subplots(figsize=(9, 3), layout="constrained")
 for name, done in runs.items():
-    axis.plot(done.run.time, 1e3 * (done.run.position - done.run.reference)[:, 0], label=name)
+    axis.plot(
+        done.run.time,
+        1e3 * (done.run.position - done.run.reference)[:, 0],
+        label=name,
+    )
     print(f"{name}: RMSE {1e3 * done.score.tracking.rmse[0]:.2f} mrad")
 axis.set(xlabel="time [s]", ylabel="tracking error [mrad]")
 _ = axis.legend()

@@ -22,10 +22,9 @@ import json
 import tempfile
 from pathlib import Path
 
+import equimus_ctrl as eq
 import matplotlib.pyplot as plt
 import numpy as np
-
-import equimus_ctrl as eq
 from equimus_ctrl import workflow
 
 folder = Path(tempfile.mkdtemp())
@@ -69,11 +68,21 @@ print("RMSE of shoulder and elbow [rad]:", placed.score.tracking.rmse.round(4))
 # %%
 def shown(runs, title):
     joints = len(next(iter(runs.values())).run.spec.joints)
-    figure, axes = plt.subplots(1, joints, figsize=(9, 3), layout="constrained", squeeze=False)
+    figure, axes = plt.subplots(
+        1, joints, figsize=(9, 3), layout="constrained", squeeze=False
+    )
     for k, axis in enumerate(axes[0]):
         for name, done in runs.items():
-            axis.plot(done.run.time, np.degrees(done.run.position[:, k]), label=name)
-        axis.plot(done.run.time, np.degrees(done.run.reference[:, k]), "k--", linewidth=1, label="reference")
+            axis.plot(
+                done.run.time, np.degrees(done.run.position[:, k]), label=name
+            )
+        axis.plot(
+            done.run.time,
+            np.degrees(done.run.reference[:, k]),
+            "k--",
+            linewidth=1,
+            label="reference",
+        )
         axis.set(xlabel="time [s]", ylabel=f"{done.run.spec.joints[k]} [°]")
     axes[0, 0].legend()
     figure.suptitle(title)
@@ -90,11 +99,15 @@ shown({"placed gains": placed}, "A PID whose gains nobody has tuned")
 
 # %%
 where = {"folder": folder / "tuning", "output": folder / "pid.toml"}
-tuned = workflow.autotune("pid", model=arm, scenarios=["track"], candidates=8, seed=7, workers=1, **where)
+tuned = workflow.autotune(
+    "pid", model=arm, scenarios=["track"], candidates=8, seed=7, workers=1, **where
+)
 for what, first, best in tuned.result.found()[2]:
     print(f"{what:15s} first {first:.3g}, tuned {best:.3g}")
 unseen = json.loads(tuned.record.read_text())["unseen"]
-print(f"median cost on robots never tuned on: first {unseen['start_median']:.4f}, tuned {unseen['median']:.4f}")
+print(
+    f"median cost on robots never tuned on: first {unseen['start_median']:.4f}, tuned {unseen['median']:.4f}"
+)
 
 # %% [markdown]
 # With these settings, noise of 1 mrad on the angles and a dead time of 20 ms in the shoulder's drive that the
@@ -103,14 +116,31 @@ print(f"median cost on robots never tuned on: first {unseen['start_median']:.4f}
 # %%
 late = [eq.TransportDelay("shoulder_motor", delay=0.02)]
 runs = {
-    "placed gains": eq.run_scenario("track", "pid", model=arm, effects=late, noise=1e-3),
-    "tuned": eq.run_scenario("track", "pid", model=arm, effects=late, noise=1e-3, settings=folder / "pid.toml"),
+    "placed gains": eq.run_scenario(
+        "track", "pid", model=arm, effects=late, noise=1e-3
+    ),
+    "tuned": eq.run_scenario(
+        "track",
+        "pid",
+        model=arm,
+        effects=late,
+        noise=1e-3,
+        settings=folder / "pid.toml",
+    ),
 }
 figure, axes = plt.subplots(1, 2, figsize=(9, 3), sharey=True, layout="constrained")
 for k, axis in enumerate(axes):
     for name, done in runs.items():
-        axis.plot(done.run.time, 1e3 * (done.run.truth - done.run.reference)[:, k], label=name)
-    axis.set(xlabel="time [s]", ylabel="tracking error [mrad]", title=arm.robot.joint_names[k])
+        axis.plot(
+            done.run.time,
+            1e3 * (done.run.truth - done.run.reference)[:, k],
+            label=name,
+        )
+    axis.set(
+        xlabel="time [s]",
+        ylabel="tracking error [mrad]",
+        title=arm.robot.joint_names[k],
+    )
 axes[0].legend()
 for name, done in runs.items():
     print(f"{name:13s} RMSE {(1e3 * done.score.tracking.rmse).round(2)} mrad")
@@ -124,9 +154,18 @@ for name, done in runs.items():
 # %%
 options = {"site": "tip", "shape": "triangle"}
 path = eq.run_scenario(
-    "track", "pid", model=arm, effects=late, noise=1e-3, settings=folder / "pid.toml", options=options
+    "track",
+    "pid",
+    model=arm,
+    effects=late,
+    noise=1e-3,
+    settings=folder / "pid.toml",
+    options=options,
 )
-print("distance of the tip from its path, RMSE [mm]:", (1e3 * path.score.site.rmse).round(2))
+print(
+    "distance of the tip from its path, RMSE [mm]:",
+    (1e3 * path.score.site.rmse).round(2),
+)
 
 # %% [markdown]
 # ## Fewer actuators than joints
@@ -134,9 +173,20 @@ print("distance of the tip from its path, RMSE [mm]:", (1e3 * path.score.site.rm
 # A pole on a cart: one motor, two joints. Sampling MPC rolls plans out in MuJoCo, swings the pole up and balances it.
 
 # %%
-examples = next(place for place in (Path("docs/examples"), Path("../examples")) if place.is_dir())
+examples = next(
+    place
+    for place in (Path("docs/examples"), Path("../examples"))
+    if place.is_dir()
+)
 cart = eq.load_model(examples / "cartpole.xml")
-swing = eq.run_scenario("swing_up", "sampling", model=cart, noise=1e-3, seed=1, options={"duration": "4"})
+swing = eq.run_scenario(
+    "swing_up",
+    "sampling",
+    model=cart,
+    noise=1e-3,
+    seed=1,
+    options={"duration": "4"},
+)
 figure, axis = plt.subplots(figsize=(9, 3), layout="constrained")
 axis.plot(swing.run.time, np.degrees(swing.run.position[:, 1]), label="pole [°]")
 axis.plot(swing.run.time, 100 * swing.run.position[:, 0], label="cart [cm]")
