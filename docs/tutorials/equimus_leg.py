@@ -20,9 +20,10 @@
 import tempfile
 from pathlib import Path
 
-import equimus_ctrl as eq
 import matplotlib.pyplot as plt
 import numpy as np
+
+import equimus_ctrl as eq
 from equimus_ctrl.recordings.locate import leg_file
 from equimus_ctrl.report.diagnosis_figures import diagnosis_figures
 from equimus_ctrl.report.diagnosis_sentences import sentence

@@ -19,9 +19,10 @@
 
 # %%
 # %matplotlib inline
-import equimus_ctrl as eq
 import matplotlib.pyplot as plt
 import numpy as np
+
+import equimus_ctrl as eq
 
 
 class FeedForward:

@@ -22,9 +22,10 @@ import json
 import tempfile
 from pathlib import Path
 
-import equimus_ctrl as eq
 import matplotlib.pyplot as plt
 import numpy as np
+
+import equimus_ctrl as eq
 from equimus_ctrl import workflow
 
 folder = Path(tempfile.mkdtemp())

@@ -20,9 +20,10 @@
 # %matplotlib inline
 import warnings
 
-import equimus_ctrl as eq
 import matplotlib.pyplot as plt
 import numpy as np
+
+import equimus_ctrl as eq
 from equimus_ctrl.recordings.checks import RecordingWarning
 from equimus_ctrl.recordings.locate import find_recordings
 
