@@ -40,7 +40,7 @@ def plain_name(name: str) -> str:
 
 
 def read_mjcf(path: Path) -> tuple[str, str, dict[str, bytes]]:
-    """(name, text in one piece, files that it names) of a file of MuJoCo's XML, or of a URDF.
+    """(name, text in one piece, files that it names) of an MJCF file, or of a URDF.
 
     Of a URDF what only shows and collides is left out, with its meshes.
 

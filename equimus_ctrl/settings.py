@@ -13,7 +13,7 @@ T = TypeVar("T")
 ONLY = "only"
 """Of a field's metadata: what a setting is for alone."""
 PRESSURES, OTHERS = "commands that are pressures", "commands that are no pressures"
-"""What some settings are for: allowances in pressures, and what they follow from on any other robot."""
+"""What some settings are for: acceptable deviations in pressures, and what they follow from on any other robot."""
 
 
 def setting(default: T, only: str) -> T:

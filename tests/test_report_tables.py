@@ -127,7 +127,7 @@ def test_the_table_fits_80_columns_and_holds_the_figures() -> None:
     assert knee[-1] == "0.1748"
     text = " ".join(word for line in lines for word in line)
     assert "hold, open_loop" in text
-    assert "commands at a limit 50.0 %" in text
+    assert "saturated commands 50.0 %" in text
     assert "maa 10.00 kPa, baa 50.00 kPa" in text
     assert "2.0 µs (median), 3.00 ms (99th percentile)" in text
     assert "…" not in text

@@ -6,7 +6,8 @@ accelerates any joint compared with
 
     ρ_j = ω² α_j,    β_j = ω α_j / √(4 ζ² − 2)
 
-so that a joint that an actuator of its own drives gets the poles s² + 2 ζ ω s + ω², the allowance α_j taking no part;
+so that a joint that an actuator of its own drives gets the poles s² + 2 ζ ω s + ω², and its acceptable
+deviation α_j takes no part;
 where joints outnumber actuators, α says which of them matters. ω begins at a share of what dead times, late sensors
 and the control period allow; lags are states that the regulator knows. It is lowered until the sampled loop, observer
 and unknown torques included, is stable in every pose looked at: as it is, with gains raised, and with what usually
@@ -106,7 +107,7 @@ class Allowances:
             object.__setattr__(self, "driven", np.ones(len(self.angle), dtype=bool))
 
     def efforts(self, acceleration: Array) -> Array:
-        """(na,) allowances of commands in a pose.
+        """(na,) acceptable deviations of commands in a pose.
 
         Args:
             acceleration: (nj, na) of the joints there, by command.

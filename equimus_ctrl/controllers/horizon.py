@@ -40,10 +40,10 @@ FALLBACKS = ("shifted", "lqr", "hold")
 
 @dataclass(frozen=True)
 class HorizonSettings:
-    """What predictive controllers allow. An error as large as its allowance costs as much as an effort of its own.
+    """What predictive controllers allow. An error as large as is acceptable costs as much as an effort as large as is.
 
     Attributes:
-        angle: allowance of angles [rad]; of a robot whose commands are no pressures by half the joints' ranges.
+        angle: acceptable error of angles [rad]; of a robot whose commands are no pressures by half the joints' ranges.
         rate: of velocities [rad/s], where commands are pressures.
         pressure: of pressures beyond what the reference asks for [Pa], where commands are pressures.
         bandwidth: of any other robot, from which these two and the observer follow (``controllers.allowances``) [Hz]; 0
@@ -170,7 +170,7 @@ class Outlook:
         fixed: (n, na) inputs that commands under way have settled, NaN for those still free [Pa]; None where all are.
         first: (na,) the first free interval of each actuator.
         before: (na,) what reached the valves last [Pa].
-        effort: (na,) allowances of commands where the robot is to be.
+        effort: (na,) acceptable deviations of commands where the robot is to be.
     """
 
     observer: ObserverState
@@ -430,7 +430,7 @@ class Horizon:
         return fixed, first
 
     def _effort(self, pose: Array) -> Array:
-        """(na,) allowances of commands in a pose (nj,); those of where the robot begins where it has no regulator."""
+        """(na,) acceptable deviations of commands in a pose (nj,); where it begins if it has no regulator."""
         try:
             return self.schedule.effort(pose)
         except ControllerError:

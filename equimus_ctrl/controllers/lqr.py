@@ -43,15 +43,15 @@ MOST_POSES = 200
 COARSER = 2.0
 """By so much poses are further apart where these are more: gains are then worked out on the way."""
 MISSED = 1e-3
-"""A command by this share of its allowance off what was asked for is no longer taken as given."""
+"""A command by this share of its acceptable deviation off what was asked for is no longer taken as given."""
 
 
 @dataclass(frozen=True)
 class LqrSettings(FileSettings):
-    """Settings of the regulator. An error as large as its allowance costs as much as an effort as large as its own.
+    """Settings of the regulator. An error as large as is acceptable costs as much as an effort as large as is.
 
     Attributes:
-        angle: allowance of angles [rad]; of a robot whose commands are no pressures by half the joints' ranges.
+        angle: acceptable error of angles [rad]; of a robot whose commands are no pressures by half the joints' ranges.
         rate: of velocities [rad/s], where commands are pressures.
         pressure: of commands beyond what the reference asks for [Pa], where they are pressures.
         bandwidth: of any other robot, from which these two and the observer follow (``controllers.allowances``) [Hz]; 0
@@ -95,7 +95,7 @@ class LqrSettings(FileSettings):
                 raise ConfigError(f"{key} is {value:g}, expected at least 0")
 
     def alike(self, nj: int, na: int) -> Allowances:
-        """Allowances that are alike for all of nj joints and na actuators."""
+        """Acceptable deviations that are alike for all of nj joints and na actuators."""
         return Allowances(np.full(nj, self.angle), np.full(nj, self.rate), np.full(na, self.pressure))
 
 
@@ -111,7 +111,7 @@ class Regulator:
         r: (na, na) of its command.
         gain: (na, n) K.
         cost: (n, n) P: from a state x on it all costs ½ xᵀPx.
-        effort: (na,) allowances of commands there.
+        effort: (na,) acceptable deviations of commands there.
     """
 
     a: Array
@@ -137,7 +137,7 @@ def regulator(
         pose: about which.
         settings: of the regulator.
         dt: of the sampling.
-        allowed: in place of the settings' allowances of angles, rates and pressures.
+        allowed: in place of the settings' acceptable deviations of angles, rates and pressures.
 
     Raises:
         ControllerError: where no gains make the robot stable there.
@@ -206,7 +206,7 @@ class Schedule:
         model: what is known of the robot.
         settings: of the regulator.
         dt: of the sampling [s].
-        allowed: in place of the settings' allowances.
+        allowed: in place of the settings' acceptable deviations.
     """
 
     def __init__(self, model: Model, settings: LqrSettings, dt: float, allowed: Allowances | None = None) -> None:
@@ -235,7 +235,7 @@ class Schedule:
         return self._between(pose, lambda found: found.cost)
 
     def effort(self, pose: Array) -> Array:
-        """(na,) allowances of commands at a pose, as of ``gain``."""
+        """(na,) acceptable deviations of commands at a pose, as of ``gain``."""
         return self._between(pose, lambda found: found.effort) if self.allowed.bandwidth else self.allowed.effort
 
     def correction(self, known: Estimate, target: Target, against: Array, others: Sequence[Array]) -> Array:

@@ -40,7 +40,7 @@ class NmpcSettings(HorizonSettings, FileSettings):
         stride: how many control periods each interval lasts, except those in which the next command takes hold: they
             last one.
         iterations: programs solved at one instant, at most; 1 is the real-time iteration.
-        tolerance: it has converged where no command changes by more, in allowances.
+        tolerance: it has converged where no command changes by more, in acceptable deviations.
         velocity: soft bound of the joints' velocities, either way [rad/s or m/s]; 0 for none.
         solver: of quadratic programs.
 

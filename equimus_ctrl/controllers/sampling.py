@@ -2,10 +2,10 @@
 
 Where a robot's joints can follow a path, a plan is a spline of commands beyond what the regulator of
 ``controllers.lqr`` would do along that path, in half their ranges; of any other robot it looks where it leads, see
-``controllers.sampling_policies``. Its cost is that of the NMPC: errors and efforts in allowances, and the regulator's
-cost behind the horizon. The nominal plan of the instant before, shifted, is always tried, and what the regulator itself
-would do, which is followed where no plan costs less: at rest nothing wanders. The generator's numbers follow from the
-seed and the instant, so that a run gives the same bits each time.
+``controllers.sampling_policies``. Its cost is that of the NMPC: errors and efforts in acceptable deviations, and the
+regulator's cost behind the horizon. The nominal plan of the instant before, shifted, is always tried, and what the
+regulator itself would do, which is followed where no plan costs less: at rest nothing wanders. The generator's numbers
+follow from the seed and the instant, so that a run gives the same bits each time.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ from equimus_ctrl.settings import both
 from equimus_ctrl.types import Array, Observation, PlantSpec, Reference, frozen_array
 
 USUAL_EFFORTS = 25.0
-"""How many allowances half the range of a command counts as where nothing limits it."""
+"""How many acceptable deviations half the range of a command counts as where nothing limits it."""
 Penalty = Callable[[Array, Array, Array, Wanted], Array]
 """(times (n + 1,) [s], states (m, n + 1, k) with positions and rates first, commands (m, n, na), what is wanted) → what
 is added to costs (m,)."""

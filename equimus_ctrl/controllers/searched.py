@@ -1,7 +1,7 @@
 """What the package's controllers declare to be searched: few numbers that matter, about the settings they have untuned.
 
-Regulators have allowances whose ratios alone count, so that of angles stays as it is. Where settings do not say
-allowances (``controllers.allowances``), all follow from the bandwidth, which is searched then.
+Regulators have acceptable deviations whose ratios alone count, so that of angles stays as it is. Where settings do not
+say acceptable deviations (``controllers.allowances``), all follow from the bandwidth, which is searched then.
 """
 
 from __future__ import annotations

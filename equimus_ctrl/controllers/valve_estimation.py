@@ -124,7 +124,7 @@ class ObservedState:
     Attributes:
         observer: what is known of the robot.
         tools: made for the plant, and its valves, once.
-        note: where allowances come from, or what was found of the valves; empty where settings say all.
+        note: where acceptable deviations come from, or what was found of the valves; empty where settings say all.
         estimation: of valves; None where there is none.
         watched: what its observer remembers.
     """

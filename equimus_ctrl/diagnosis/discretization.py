@@ -96,7 +96,7 @@ def without_step_error(
 
 
 def _parts_of_the_step(data: Data, exact: Simulator, end: SearchState) -> list[int] | None:
-    """Places of parts that may explain the step's error alone; None where neither they nor the error matter.
+    """Places of parts that may explain the discretisation error alone; None where neither they nor the error matter.
 
     Args:
         data: with the engine's own step.

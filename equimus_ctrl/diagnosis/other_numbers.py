@@ -58,7 +58,13 @@ Row = tuple[str, Value, Role, Basis, str]
 _ROWS: Mapping[str, tuple[Row, ...]] = {
     # --- what recordings and models have to be ---------------------------------------------------------------------
     "diagnosis.simulated": (
-        ("SETTLED", 0.05, "method", "convention", "rounds of the step's error end: it changes by so much of the noise"),
+        (
+            "SETTLED",
+            0.05,
+            "method",
+            "convention",
+            "rounds on the discretisation error end: it changes by less than this of the noise",
+        ),
         ("ROUNDS", 6, "method", "convention", "so many of them at most"),
         ("NEARER", 0.5, "evidence", "theory", "the error is shown once: the number is nearer to 1 than to 0 or 2"),
         (

@@ -125,17 +125,17 @@ class Thresholds:
     as_simulated: float = decided_by(
         0.1,
         "",
-        "recordings are taken for MuJoCo's where they show its step's error once, give or take this share of it or "
-        "what noise leaves open",
+        "recordings are taken for MuJoCo's where they show its discretisation error once, give or take this share of "
+        "it or what noise leaves open",
         "convention",
         "the error is known to first order, at parameters that have taken up some of it; a robot shows it 0 times",
         where="simulated",
     )
     step_unsure: float = decided_by(
         0.01,
-        "of the step's error",
-        "where MuJoCo made the recordings, residuals below this share of its step's error are no physics: what it is "
-        "depends on the motion, and is known to first order",
+        "of the discretisation error",
+        "where MuJoCo made the recordings, residuals below this share of its discretisation error are no physics: what "
+        "it is depends on the motion, and is known to first order",
         "convention",
         "after the last round it changes by far less; where friction stops a joint it changes by steps",
         where="simulated",
@@ -351,7 +351,7 @@ class Thresholds:
     step_explains: float = decided_by(
         4.0,
         "",
-        "an effect that gains less than so many times what a finer step changes may be the step's error",
+        "an effect that gains less than so many times what a finer step changes may be the discretisation error",
         "theory",
         "two standard deviations of the change",
         where="discretization",

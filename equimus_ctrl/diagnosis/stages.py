@@ -264,7 +264,7 @@ def take_off_step_error(state: State) -> State:
     )
     otherwise = "without the error of the physics step it gains too little"
     after = _rejections(state, after, "discretization", {}, otherwise, exact.rejected)
-    return after.decided("discretization", "worked out without the step's error", exact.sentence)
+    return after.decided("discretization", "worked out without the discretisation error", exact.sentence)
 
 
 def lead_by_fit(state: State) -> State:

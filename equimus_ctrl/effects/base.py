@@ -85,7 +85,7 @@ class Effect:
     robots: ClassVar[tuple[str, ...]] = ("elastic",)
     """Kinds of robots that can have it: ``elastic`` (morphologies with elastic actuators), ``mjcf`` (MuJoCo's XML)."""
     mujoco_flags: ClassVar[tuple[str, ...]] = ()
-    """Flags of MuJoCo's XML that must not be switched off for it to do anything."""
+    """Flags of an MJCF file that must not be switched off for it to do anything."""
     delays: ClassVar[bool] = False
     """Whether its parameters in seconds say how late something is; a law's own times, of creep, say, do not."""
     in_torques: ClassVar[bool] = True

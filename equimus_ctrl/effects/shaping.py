@@ -17,7 +17,7 @@ def shaped(law: int, own: float, others: float, number: float) -> float:
 
     Args:
         law: DEAD_ZONE: max(u − number, 0); COUPLING: max(u − number·others, 0); SATURATION: min(u, number);
-            CUTOFF: u where it is at least number, else 0.
+            ``CUTOFF``: u where it is at least number, else 0.
         own: u [Pa].
         others: sum of the other actuators' commands [Pa].
         number: threshold [Pa], share, level or least command [Pa].

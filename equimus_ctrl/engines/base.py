@@ -122,7 +122,7 @@ class Engine(ABC):
         """The same with ``discretisation.finer`` steps in the place of one.
 
         Raises:
-            NotImplementedError: where its step's error does not count.
+            NotImplementedError: where its discretisation error does not count.
         """
         raise NotImplementedError(f"the error of the {self.name} engine's step does not count")
 

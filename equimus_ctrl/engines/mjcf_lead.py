@@ -1,7 +1,7 @@
 """What the motion before a trial's start left of an MJCF robot's hidden states, stepped by MuJoCo.
 
 Drives that turn by themselves, states of laws and of actuators follow the commands while all joints are put, step by
-step, where they were recorded to be. ``engines.lane_hidden`` does the same without a step's error. Integrators of
+step, where they were recorded to be. ``engines.lane_hidden`` does the same free of discretisation error. Integrators of
 commands alone are not stepped to where a pass begins: they add up all of the commands before it.
 """
 

@@ -27,7 +27,7 @@ QUICKER = 6.0
 TAKEN_UP = 1.0
 """Rate at which unknown torques are found by the same."""
 STRAYS = 0.005
-"""By so much what has arrived strays within 1/ω, in shares of allowed efforts: little, and not the 0 of blind trust."""
+"""By so much what has arrived varies within 1/ω, in shares of allowed efforts: little, and not the 0 of blind trust."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -27,7 +27,7 @@ def with_step_error(
     ratio: float,
     noise: Noise | None = None,
 ) -> Fit:
-    """The fit with intervals as wide as noise and the step's error together can move its parameters.
+    """The fit with intervals as wide as noise and the discretisation error together can move its parameters.
 
     The error of a step h is C·h (MuJoCo's Euler and implicit integrators; of a higher order it is less), so predictions
     with a step of ``ratio``·h differ by C·h·(ratio − 1), and what parameters would make good of C·h is known from one

@@ -14,7 +14,7 @@ from equimus_ctrl.types import Array
 
 @dataclass(frozen=True)
 class Weights:
-    """What errors and efforts cost: as much as each other where both are as large as their allowance.
+    """What errors and efforts cost: as much as each other where both are as large as their acceptable deviation.
 
     One number for all joints or actuators, or one for each.
 

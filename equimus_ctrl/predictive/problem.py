@@ -40,7 +40,7 @@ SHORTEST = 1 / 16
 SAFE = 2.0
 """A defect costs so many times as much as its largest multiplier."""
 KEPT = 1e-6
-"""A limit may be missed by this share of an input's allowance."""
+"""A limit may be missed by this share of an input's acceptable deviation."""
 TINY = 1e-9
 """Share of the merit that rounding may take."""
 UNBOUNDED = 1e12
@@ -71,8 +71,8 @@ class Answer:
         outcome: ``"converged"``; ``"iterated"`` where iterations or time ended it first; ``"failed"`` where the program
             has no solution or none was found.
         iterations: how many linearised programs were solved.
-        step: the last one's largest change of an input, in allowances.
-        defect: the largest by which a step misses the next state, in allowances of angle and rate and pressure.
+        step: the last one's largest change of an input, in acceptable deviations.
+        defect: the largest by which a step misses the next state, in acceptable deviations of angle, rate and pressure.
         cost: of the plan that the last program was made about.
         reason: why it failed.
     """
@@ -180,7 +180,7 @@ class Problem:
             before: (na,) inputs in force before [Pa]; needed where rates are limited.
             period: between two commands: by so much time may an input have moved since ``before`` [s].
             iterations: at most.
-            tolerance: it has converged where no input changes by more, in allowances.
+            tolerance: it has converged where no input changes by more, in acceptable deviations.
             enough: asked before each iteration whether it must not begin any more.
         """
         n, na = len(self.durations), self.prediction.na
@@ -407,7 +407,7 @@ class _Limits:
 
 @dataclass(frozen=True, eq=False)
 class _Linearised:
-    """Of a plan: cost, largest defect in allowances, (nx,) sums of its defects, (nx, n·nx) its steps' derivatives."""
+    """Of a plan: cost, largest defect (acceptable = 1), (nx,) sums of defects, (nx, n·nx) its steps' derivatives."""
 
     cost: float
     defect: float

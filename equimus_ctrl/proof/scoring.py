@@ -115,7 +115,7 @@ class Score(Short):
         tallies: method → counts, the diagnosis first.
         estimates: method → estimated parameters of the effects named right.
         own: the robot's parameters.
-        heldout: error taken away.
+        heldout: share of the held-out excess residual variance that is explained.
         effort: of the diagnoses.
         robots: what kind of robots these are.
     """

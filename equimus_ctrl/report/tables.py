@@ -114,7 +114,7 @@ def _facts(score: Score, run: Run) -> Table:
         *(() if score.arrival is None else (("arrived", _arrival_text(score.arrival, spec)),)),
         ("scored", f"{low:g} to {high:g} s"),
         *approach,
-        ("commands at a limit", f"{100 * score.saturated:.1f} %"),
+        ("saturated commands", f"{100 * score.saturated:.1f} %"),
         ("effort, RMS", effort),
         ("controller step", f"{_duration(p50)} (median), {_duration(p99)} (99th percentile)"),
     ):

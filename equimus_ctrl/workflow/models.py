@@ -25,7 +25,7 @@ def load_model(
     unmeasured: Sequence[str] = (),
     recordings: Sequence[Path | str] = (),
 ) -> Model:
-    """The model in a model file, of MuJoCo's XML or of a URDF; the nominal leg where ``path`` is None.
+    """The model in a model file, an MJCF file or a URDF; the nominal leg where ``path`` is None.
 
     Args:
         path: of the file.

@@ -1,0 +1,175 @@
+"""The site: its links in the sources, its navigation, the pages made from the code, and the checker of built links."""
+
+from __future__ import annotations
+
+import importlib
+import re
+import sys
+from pathlib import Path
+from types import ModuleType
+
+import pytest
+import yaml
+from markdown_it import MarkdownIt
+
+from equimus_ctrl.cli.main import app
+from equimus_ctrl.effects import REGISTRY
+
+ROOT = Path(__file__).resolve().parent.parent
+DOCS = ROOT / "docs"
+HANDWRITTEN = [
+    path
+    for path in sorted([*ROOT.glob("*.md"), *DOCS.rglob("*.md")])
+    if not path.is_relative_to(DOCS / "proof") and path.name != "CHANGELOG.md"
+]
+"""Pages that people write; CHANGELOG.md, one long list, and the records of proofs are not looked at."""
+
+
+@pytest.fixture(scope="module", autouse=True)
+def website() -> None:
+    pytest.importorskip("mkdocs", reason="the site's tools come with the extra [docs]")
+    sys.path.insert(0, str(ROOT / "website"))
+
+
+def tool(name: str) -> ModuleType:
+    return importlib.import_module(name)
+
+
+def navigation(entries: object) -> list[str]:
+    if isinstance(entries, str):
+        return [entries]
+    values = entries.values() if isinstance(entries, dict) else entries
+    return [page for entry in values for page in navigation(entry)]  # type: ignore[union-attr]
+
+
+def test_the_navigation_has_every_page_once_and_no_other() -> None:
+    settings = re.sub(r"!!python/\S+", "", (ROOT / "mkdocs.yml").read_text(encoding="utf-8"))
+    listed = navigation(yaml.safe_load(settings)["nav"])
+    assert len(listed) == len(set(listed))
+    assert list(yaml.safe_load(settings)["nav"][0]) == ["Start here"]
+    pages = {path.relative_to(DOCS).as_posix() for path in [*DOCS.rglob("*.md"), *DOCS.glob("tutorials/*.py")]}
+    written = {page for page in pages if not page.startswith("proof/")}
+    generated = {"reference/commands.md", "reference/effects.md", "reference/python.md", "reference/thresholds.md"}
+    own = {f"project/{name}" for name in tool("hooks").PAGES}
+    assert set(listed) == written | generated | own
+
+
+@pytest.mark.parametrize("path", HANDWRITTEN, ids=lambda p: p.relative_to(ROOT).as_posix())
+def test_links_and_anchors_lead_somewhere_in_a_checkout(path: Path) -> None:
+    """On a forge as on the site; pages made when the site is built are the only ones that a checkout lacks."""
+    made = {"commands.md", "effects.md", "python.md", "thresholds.md"}
+    for target, anchor in re.findall(r"\]\(([^)\s#:]*)#?([^)\s]*)\)", path.read_text(encoding="utf-8")):
+        leads = (path.parent / target).resolve() if target else path
+        if leads.parent == DOCS / "reference" and leads.name in made:
+            continue
+        assert leads.exists(), target
+        if anchor and leads.suffix == ".md":
+            assert anchor in anchors(leads), f"{target}#{anchor}"
+
+
+def anchors(path: Path) -> set[str]:
+    """Names of a page's headings, as forges and the site make them."""
+    slugs = importlib.import_module("pymdownx.slugs").slugify(case="lower")
+    return {slugs(heading, "-") for heading in headings(path)}
+
+
+def headings(path: Path) -> list[str]:
+    tokens = MarkdownIt("commonmark").enable("table").parse(path.read_text(encoding="utf-8"))
+    inline = [tokens[k + 1] for k, token in enumerate(tokens) if token.type == "heading_open"]
+    return ["".join(part.content for part in token.children or ()) for token in inline]
+
+
+@pytest.mark.parametrize("path", HANDWRITTEN, ids=lambda p: p.relative_to(ROOT).as_posix())
+def test_prose_is_at_most_120_columns_wide(path: Path) -> None:
+    reflow = tool("reflow")
+    text = path.read_text(encoding="utf-8")
+    wrapped = reflow.wrapped(text)
+    assert wrapped == text or reflow.rendered(wrapped) != reflow.rendered(text), "python website/reflow.py wraps it"
+
+
+@pytest.mark.parametrize("path", HANDWRITTEN, ids=lambda p: p.relative_to(ROOT).as_posix())
+def test_a_page_has_the_same_lists_and_tables_on_the_site_as_on_a_forge(path: Path) -> None:
+    """Python-Markdown wants an empty line before a list and four columns of indent in it; forges do not."""
+    from markdown import Markdown
+
+    text = tool("lists").aligned(path.read_text(encoding="utf-8"))
+    site = Markdown(extensions=["tables", "sane_lists", "pymdownx.superfences", "md_in_html", "attr_list"]).convert(
+        text
+    )
+    forge = MarkdownIt("commonmark").enable("table").render(path.read_text(encoding="utf-8"))
+    counts = [
+        [len(re.findall(rf"<{tag}\b", page)) for tag in ("li", "tr", "h2", "h3", "table")] for page in (site, forge)
+    ]
+    assert counts[0] == counts[1]
+
+
+def test_reflow_wraps_items_and_leaves_code_and_tables() -> None:
+    wrapped = tool("reflow").wrapped
+    long = "word " * 40
+    assert max(map(len, wrapped(f"- {long}\n").splitlines())) <= 120
+    assert wrapped(f"- {long}\n").splitlines()[1].startswith("  word")
+    for kept in (f"```sh\n{long}\n```\n", f"| {long} |\n| --- |\n", f"# {long}\n"):
+        assert wrapped(kept) == kept
+    sentence = "x" * 117 + " - no item"
+    assert "\n- " not in wrapped(sentence + "\n")
+    assert wrapped(wrapped(long)) == wrapped(long)
+
+
+def test_links_are_translated_both_ways() -> None:
+    hooks = tool("hooks")
+    assert hooks.translated("a/b.md", "[x](../../README.md#y)") == "[x](../project/README.md#y)"
+    assert hooks.translated("project/README.md", "[x](docs/logs.md)") == "[x](../logs.md)"
+    assert hooks.translated("project/README.md", "[x](CHANGELOG.md)") == "[x](CHANGELOG.md)"
+    assert hooks.translated("a.md", "[x](logs.md#y) [z](mailto:a)") == "[x](logs.md#y) [z](mailto:a)"
+
+
+def test_the_checker_finds_dead_links_and_anchors(tmp_path: Path) -> None:
+    (tmp_path / "a.html").write_text(
+        '<h1 id="top">a</h1><a href="b.html">b</a><a href="b.html#there">b</a><a href="#top">up</a>'
+        '<a href="c.html">c</a><a href="b.html#not">b</a><a href="https://elsewhere.org/">e</a><img src="../d.png">'
+    )
+    (tmp_path / "b.html").write_text('<p id="there">')
+    checker = tool("check_links")
+    found = checker.check(tmp_path)
+    assert [(link, reason) for _, link, reason in found.dead] == [
+        ("c.html", "no such file"),
+        ("b.html#not", "no such anchor"),
+        ("../d.png", "no such file"),
+    ]
+    assert (found.pages, found.internal, found.external) == (2, 6, ("https://elsewhere.org/",))
+
+
+def test_the_page_of_commands_has_every_verb_and_option() -> None:
+    text = tool("reference_commands").page()
+    for command in app.registered_commands:
+        assert f"\n## {command.name}\n" in text
+    assert "\n## recordings export\n" in text and "\n## hardware check\n" in text
+    assert "`--write-model FILE`" in text and "[bold]" not in text and "\b" not in text
+
+
+def test_the_page_of_effects_has_every_effect_with_its_sentence_and_confusions() -> None:
+    text = tool("reference_effects").page(DOCS / "proof")
+    entries = dict(re.findall(r"(?ms)^### (\w+)\n(.*?)(?=^##|\Z)", text))
+    assert set(entries) == set(REGISTRY)
+    for name, cls in REGISTRY.items():
+        assert "**Law**" in entries[name] and "**A report says**" in entries[name], name
+        for key in cls.parameter_info():
+            assert f"| `{key}` |" in entries[name], (name, key)
+    assert re.search(r"named in \d+ of \d+; .*`supply_coupling` 1", entries["dead_zone"])
+
+
+def test_the_page_of_python_names_all_that_is_offered() -> None:
+    import equimus_ctrl as eq
+
+    names = [path.rpartition(".")[2] for _, path in tool("reference_python").names(ROOT / "equimus_ctrl/__init__.pyi")]
+    assert set(names) == set(eq.__all__) - {"__version__"}
+    text = tool("reference_python").page(ROOT / "equimus_ctrl" / "__init__.pyi")
+    assert len(re.findall(r"(?m)^::: ", text)) == len(names)
+
+
+def test_version_of_the_citation_is_the_packages() -> None:
+    import equimus_ctrl
+
+    said = yaml.safe_load((ROOT / "CITATION.cff").read_text(encoding="utf-8"))
+    assert said["version"] == equimus_ctrl.__version__.removesuffix(".dev0")
+    assert {"cff-version", "message", "title", "authors", "license"} <= set(said)

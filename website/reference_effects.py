@@ -1,0 +1,181 @@
+"""The page of effects, from their registry: place, law, sentence, parameters, and what proofs confused each with."""
+
+from __future__ import annotations
+
+import json
+from collections import Counter, defaultdict
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+from equimus_ctrl.effects import REGISTRY, Effect
+from equimus_ctrl.models.model import nominal_model
+from equimus_ctrl.robots.base import Robot
+from equimus_ctrl.robots.mjcf.robot import MjcfRobot
+
+SIDES = {
+    "command": "Commands and valves",
+    "force": "Forces at joints, actuators and bodies",
+    "measurement": "Sensors",
+}
+ARM = """
+<mujoco><option gravity="0 0 0"/><worldbody><body name="upper"><joint name="shoulder" axis="0 1 0"/>
+<geom type="capsule" fromto="0 0 0 0 0 -0.3" size="0.02"/><site name="tip" pos="0 0 -0.3"/>
+<body name="fore" pos="0 0 -0.3">
+<joint name="elbow" axis="0 1 0"/><geom type="capsule" fromto="0 0 0 0 0 -0.3" size="0.02"/></body></body></worldbody>
+<actuator><motor name="shoulder_motor" joint="shoulder"/><motor name="elbow_motor" joint="elbow"/></actuator></mujoco>
+"""
+"""A robot of which sentences on effects of MJCF robots can speak."""
+
+
+def page(proofs: Path) -> str:
+    """One entry an effect, grouped by side.
+
+    Args:
+        proofs: folder with scores of proofs.
+    """
+    confused, sets = answers(proofs)
+    parts = [
+        "# Effects",
+        "The laws that `diagnose` looks for and `--effect` attaches, made from the classes when this site was built. "
+        "The sentence is what a report says, with parameters in the place of their estimates; "
+        "`x` is the joint's position or the actuator's length, `rate` its derivative. The physics behind "
+        "them: [the two models](../physics.md#effects), [MJCF robots](../machines.md#effects). Your own: "
+        "[adding an effect](../project/CONTRIBUTING.md#an-effect).",
+        "*Taken for* adds up what diagnoses answered where this effect was all that was missing and had an excess "
+        f"residual variance of 0.3 or more, in {sets} sets of [blinded robots](../proof.md). "
+        "A fraction is an effect named beside others. No line means that none of these sets had it so.",
+    ]
+    for side, title in SIDES.items():
+        classes = [cls for _, cls in sorted(REGISTRY.items()) if cls.side == side]
+        parts += [f"## {title}", _overview(classes)]
+        for cls in classes:
+            parts += _entry(cls, confused.get(cls.name, Counter()))
+    return "\n\n".join(parts) + "\n"
+
+
+def answers(proofs: Path) -> tuple[Mapping[str, Counter[str]], int]:
+    """What was missing → how often each answer was given, over all scored sets below a folder; and how many sets."""
+    added: dict[str, Counter[str]] = defaultdict(Counter)
+    seals = set()
+    for path in sorted(proofs.rglob("score.json")):
+        score = json.loads(path.read_text(encoding="utf-8"))
+        if not score.get("confusion") or score["seal"] in seals:
+            continue
+        seals.add(score["seal"])
+        for truth, row in score["confusion"].items():
+            added[truth].update(row)
+    return added, len(seals)
+
+
+def _overview(classes: list[type[Effect]]) -> str:
+    rows = [
+        f"| [`{cls.name}`](#{cls.name}) | {cls.summary} | {', '.join(cls.sits_at)} | {_robots(cls)} |"
+        for cls in classes
+    ]
+    return "\n".join(["| effect | what it is | at | robots |", "| --- | --- | --- | --- |", *rows])
+
+
+def _robots(cls: type[Effect]) -> str:
+    kinds = {"elastic": "elastic actuators", "mjcf": "MJCF"}
+    return ", ".join(kinds[kind] for kind in cls.robots)
+
+
+def _entry(cls: type[Effect], answered: Counter[str]) -> list[str]:
+    law = " ".join((cls.__doc__ or "").partition("\n\n")[0].split()).replace("``", "`")
+    parts = [f"### {cls.name}", f"{cls.summary[:1].upper()}{cls.summary[1:]}.", f"**Law**: {_plain(law)}"]
+    parts.append(f"**A report says**: {_plain(_sentence(cls))}")
+    rows = [
+        f"| `{key}` | {_unit(info['unit'])} | {info['low']:g} to {info['high']:g} | {_plain(info['doc'])} |"
+        for key, info in cls.parameter_info().items()
+    ]
+    parts.append("\n".join(["| parameter | unit | bounds | meaning |", "| --- | --- | --- | --- |", *rows]))
+    native = f"as {cls.mjcf_form}" if cls.mjcf_form else f"refused: {cls.mjcf_lacks}"
+    parts.append(f"**In plain MuJoCo** ([export](../export.md)): {native}.")
+    if answered:
+        total = sum(answered.values())
+        others = [f"`{name}` {_half(n)}" for name, n in answered.most_common() if name != cls.name]
+        right = f"named in {_half(answered.get(cls.name, 0))} of {_half(total)}"
+        parts.append(f"**Taken for**: {'; '.join([right, *others])}.")
+    return parts
+
+
+def _half(count: float) -> str:
+    whole, rest = divmod(count, 1)
+    return f"{whole:g}" if not rest else f"{count:.3g}"
+
+
+def _unit(unit: str) -> str:
+    return "–" if unit == "1" else unit.replace("|", "or")
+
+
+def _plain(text: str) -> str:
+    """A docstring's text where ``*`` and ``_`` mean themselves."""
+    return text if "`" in text else text.replace("*", "\\*").replace("_", "\\_").replace("‹", "*").replace("›", "*")
+
+
+@cache
+def _robot(kind: str) -> Robot:
+    return nominal_model().robot if kind == "elastic" else MjcfRobot("arm", ARM)
+
+
+def _sentence(cls: type[Effect]) -> str:
+    robot = _robot("elastic" if "elastic" in cls.robots else "mjcf")
+    places = cls.places_on(robot)
+    place = next(name for kind in cls.sits_at for name in places.get(kind, ()))
+    return cls.sentence(_Template(cls, robot, place))
+
+
+@dataclass(frozen=True)
+class _Template:
+    """A description whose estimates are the parameters' names, see ``effects.description.Description``."""
+
+    cls: type[Effect]
+    robot: Any
+    place: str
+
+    @property
+    def places(self) -> tuple[str, ...]:
+        return (self.place,)
+
+    @property
+    def at(self) -> str:
+        return self.place
+
+    @property
+    def the(self) -> str:
+        return f"the {self.place}"
+
+    @property
+    def noun(self) -> str:
+        return "angle"
+
+    @property
+    def actuation(self) -> str:
+        return f"The {'pressure' if self.robot.traits.commands_are_pressures else 'force'} of {self.at}"
+
+    @property
+    def numbers(self) -> str:
+        return ", ".join(f"{key} ({info['doc']}) {self[key]}" for key, info in self.cls.parameter_info().items())
+
+    def one_or(self, one: str, several: str) -> str:
+        return one
+
+    def __getitem__(self, key: str) -> str:
+        return f"‹{key.replace('_', ' ')}›"
+
+    def scaled(self, key: str, unit: str, factor: float, away: float = 0.0) -> str:
+        return self[key]
+
+    def unit(self, key: str) -> str:
+        return str(self.cls.parameter_info()[key]["unit"])
+
+    def value(self, key: str) -> float:
+        """A value on the greater side, for sentences that say which."""
+        info = self.cls.parameter_info()[key]
+        return float(info["low"] + 0.75 * (info["high"] - info["low"]))
+
+    def quantity(self, value: float, unit: str) -> str:
+        return "‹size›"
