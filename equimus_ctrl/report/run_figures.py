@@ -374,6 +374,8 @@ def _equal(axes: Axes, points: Array, adjustable: Literal["box", "datalim"]) -> 
     low, high = points.min(axis=0), points.max(axis=0)
     half = max(0.56 * float((high - low).max()), 5.0)
     (x, y) = (low + high) / 2
-    axes.set_xlim(x - half, x + half)
-    axes.set_ylim(y + half, y - half)
+    # Limits that are to give way may not be fixed, or matplotlib tells the user of it.
+    auto = None if adjustable == "datalim" else False
+    axes.set_xlim(x - half, x + half, auto=auto)
+    axes.set_ylim(y + half, y - half, auto=auto)
     axes.set_aspect("equal", adjustable=adjustable)
