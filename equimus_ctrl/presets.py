@@ -186,6 +186,7 @@ def write_bytes(path: Path, data: bytes) -> None:
     Raises:
         ConfigError: where it cannot be written there.
     """
+    check_place(path)  # renaming would take the place of a device
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         with tempfile.NamedTemporaryFile(dir=path.parent, suffix=".tmp", delete=False) as out:
@@ -229,15 +230,32 @@ def check_xml(path: Path) -> None:
     _check_file(path, ".xml", "XML")
 
 
+def check_png(path: Path) -> None:
+    """The same of a picture."""
+    _check_file(path, ".png", "PNG")
+
+
 def _check_file(path: Path, suffix: str, what: str) -> None:
-    try:
-        check_folder(path.parent)
-    except ConfigError as error:
-        raise ConfigError(f"{path}: cannot be written; {error}") from None
-    if path.is_dir():
-        raise ConfigError(f"{path}: is a folder; a file to write belongs there")
+    check_place(path)
     if path.suffix.lower() != suffix:
         raise ConfigError(f"{path}: what is written there is {what}; expected a name that ends in {suffix}")
+
+
+def check_place(path: Path) -> None:
+    """Raise ConfigError where no file can be written: nothing can be put into its folder, or what is there is none."""
+    try:
+        check_folder(path.parent)
+        there = path.stat() if os.path.lexists(path) else None
+    except ConfigError as error:
+        raise ConfigError(f"{path}: cannot be written; {error}") from None
+    except FileNotFoundError:  # a link to nowhere is replaced as a file is
+        return
+    except OSError as error:  # a loop of links, or a name too long
+        raise ConfigError(f"{path}: cannot be written ({error.strerror or error})") from None
+    if there is not None and stat.S_ISDIR(there.st_mode):
+        raise ConfigError(f"{path}: is a folder; a file to write belongs there")
+    if there is not None and not stat.S_ISREG(there.st_mode):
+        raise ConfigError(f"{path}: is a pipe or a device; a file to write belongs there")
 
 
 def make_folder(path: Path) -> None:

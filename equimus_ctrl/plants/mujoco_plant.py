@@ -64,6 +64,9 @@ class PlantRates:
 USUAL_CONTROL = 120.0
 """Commands a second where a robot's own physics step allows it [Hz]."""
 
+MOST_NOISE = 1.0
+"""Of a measured position [rad or m]: with more, nothing of an angle is left to be measured."""
+
 
 def rates_of(robot: Robot) -> PlantRates:
     """The rates of a robot's plant: physics as its description asks for, commands and measurements near 120 Hz."""
@@ -137,8 +140,8 @@ class MujocoPlant:
         events: Sequence[Event] = (),
     ) -> None:
         self.rates = rates or rates_of(model.robot)
-        if not 0 <= noise < float("inf"):
-            raise ConfigError(f"noise is {noise:g} rad, expected 0 or more")
+        if not 0 <= noise <= MOST_NOISE:
+            raise ConfigError(f"noise is {noise:g} rad or m, expected 0 to {MOST_NOISE:g}")
         require_simulated(model.effects, f"{model.name}: the MuJoCo plant")
         self.model = model
         self.noise = noise

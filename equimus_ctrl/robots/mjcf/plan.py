@@ -76,7 +76,8 @@ class Plan:
 
 def _compiled(xml: str, assets: Assets, name: str) -> Any:
     try:
-        return spec_of(xml, assets).compile()
+        with quietly():
+            return spec_of(xml, assets).compile()
     except (ValueError, mujoco.FatalError) as error:
         reason = " ".join(str(error).split())
         raise ModelError(f"{name}: MuJoCo cannot load it ({reason})") from None
@@ -166,27 +167,53 @@ def _check(base: Any, name: str, xml: str) -> None:
         raise ModelError(f"{name}: has a flex or a plugin, which neither engine takes; expected rigid bodies")
     if not SHORTEST <= base.opt.timestep <= LONGEST:
         raise ModelError(f"{name}: timestep is {base.opt.timestep:g} s, expected {SHORTEST:g} to {LONGEST:g} s")
-    if not np.all(np.isfinite(base.opt.gravity)):
-        raise ModelError(f"{name}: gravity is {base.opt.gravity.tolist()}, expected three finite numbers")
-    for prefix, kind, what in _CHECKED:
+    given = [*base.opt.gravity.tolist(), *base.opt.wind.tolist(), base.opt.density, base.opt.viscosity]
+    if any(not abs(value) <= LARGEST for value in given):
+        words = f"gravity is {given[:3]}, wind {given[3:6]}, density {given[6]:g}, viscosity {given[7]:g}"
+        raise ModelError(f"{name}: {words}, expected finite numbers up to {LARGEST:g}")
+    for prefix, kind in _CHECKED.items():
         for field in dir(base):
             values = getattr(base, field) if field.startswith(prefix) and not field.endswith(DERIVED) else None
             if not isinstance(values, np.ndarray) or values.dtype.kind != "f" or not len(values):
                 continue
-            wrong = np.isnan(values.reshape(len(values), -1)).any(axis=1)
+            most = math.inf if field.endswith(ENDLESS) else LARGEST
+            wrong = ~(np.abs(values) <= most).reshape(len(values), -1).all(axis=1)
             if wrong.any():
                 k = int(np.argmax(wrong))
-                owner = getattr(base, kind)(int(base.dof_jntid[k]) if prefix == "dof_" else k).name or f"{what} {k}"
-                raise ModelError(f"{name}: {field.removeprefix(prefix)} of {what} {owner!r} is nan, expected a number")
+                value = next(v for v in np.ravel(values[k]).tolist() if not abs(v) <= most)
+                raise ModelError(
+                    f"{name}: {field.removeprefix(prefix + '_')} of {kind} {_owner(base, prefix, kind, k)!r} is {value:g}, "
+                    "expected a number" + ("" if math.isnan(value) else f" up to {most:g}")
+                )
+    for dof in np.flatnonzero(~(base.dof_M0 > 0)):
+        owner = base.joint(int(base.dof_jntid[dof])).name
+        raise ModelError(
+            f"{name}: what joint {owner!r} moves has an inertia of {base.dof_M0[dof]:g}, expected more than 0; see "
+            "masses and armature"
+        )
 
 
-DERIVED = ("invweight0", "M0", "length0", "acc0", "lengthrange", "subtreemass")
-"""What MuJoCo works out of other parameters, which are listed in their place."""
-_CHECKED = (
-    ("jnt_", "joint", "joint"), ("dof_", "joint", "joint"), ("body_", "body", "body"), ("site_", "site", "site"),
-    ("tendon_", "tendon", "tendon"), ("actuator_gainprm", "actuator", "actuator"),
-    ("actuator_biasprm", "actuator", "actuator"), ("actuator_forcerange", "actuator", "actuator"),
-)  # fmt: skip
+LARGEST = float(mujoco.mjMAXVAL)
+"""MuJoCo takes a state beyond it for one that has diverged; no number of a robot's is so large."""
+ENDLESS = ("range", "limited", "springyield", "user")
+"""What may be without end."""
+DERIVED = ("invweight0", "M0", "length0", "acc0", "lengthrange", "subtreemass", "rgba", "rbound", "aabb")
+"""What MuJoCo works out of other parameters, which are listed in their place, or is only seen."""
+_CHECKED = {
+    "jnt": "joint", "dof": "joint", "qpos": "joint", "body": "body", "site": "site", "geom": "geom",
+    "tendon": "tendon", "actuator": "actuator", "eq": "equality", "key": "keyframe",
+}  # fmt: skip
+"""What MuJoCo's fields of numbers begin with → whose they are."""
+
+
+def _owner(base: Any, prefix: str, kind: str, row: int) -> str:
+    """The name of whose number it is; its place in the file where it has none."""
+    if prefix == "dof":
+        row = int(base.dof_jntid[row])
+    elif prefix == "qpos":
+        row = int(np.searchsorted(base.jnt_qposadr, row, side="right")) - 1
+    name: str = getattr(base, kind)(row).name
+    return name or f"{kind} {row}"
 
 
 def _joints(base: Any, name: str) -> tuple[Axis, ...]:
