@@ -11,8 +11,8 @@ import re
 from collections.abc import Iterable
 from typing import Any
 
-MOST_SAID, LONGEST_WORD = 2000, 200
-"""Characters of a message, and of what stands in it without a space: a number, a name, a path."""
+MOST_SAID, LONGEST_WORD, MOST_LISTED = 1000, 200, 400
+"""Characters of a message, of what stands in it without a space (a number, a name, a path), and of a list of names."""
 
 
 class EquimusError(Exception):
@@ -89,4 +89,8 @@ def unknown_name(kind: str, name: str, known: Iterable[str], where: str = "") ->
     """One sentence for a name that does not exist, listing those that do."""
     names = sorted(known)
     place = f"{where}: " if where else ""
-    return f"{place}there is no {kind} {name!r}{nearest(name, names)} (known: {', '.join(names) or 'none'})"
+    listed = ", ".join(names) or "none"
+    if len(listed) > MOST_LISTED:
+        listed = listed[: listed.rindex(", ", 0, MOST_LISTED)]
+        listed += f" and {len(names) - listed.count(', ') - 1} more"
+    return f"{place}there is no {kind} {name!r}{nearest(name, names)} (known: {listed})"

@@ -132,13 +132,31 @@ def read_toml(path: Path) -> dict[str, Any]:
         ConfigError: where it cannot be read or is not TOML.
     """
     try:
-        return tomllib.loads(read_bytes(path).decode("utf-8").replace("\r\n", "\n"))
+        data = tomllib.loads(read_bytes(path).decode("utf-8").replace("\r\n", "\n"))
+        _check_integers(data, path)
+        return data
     except UnicodeDecodeError as error:
         raise ConfigError(f"{path}: cannot be read ({error})") from None
     except RecursionError:
         raise ConfigError(f"{path}: is nested too deeply to be read") from None
-    except tomllib.TOMLDecodeError as error:
+    except ValueError as error:  # TOMLDecodeError, or an integer of more digits than Python reads
         raise ConfigError(f"{path}: is not valid TOML: {error}") from None
+
+
+LARGEST_INTEGER = 2**63 - 1
+"""Of TOML."""
+
+
+def _check_integers(value: Any, path: Path, name: str = "") -> None:
+    """Raise ConfigError for an integer that TOML does not have: no floating-point number may be as large."""
+    if isinstance(value, dict):
+        for key, own in value.items():
+            _check_integers(own, path, f"{name}.{key}" if name else key)
+    elif isinstance(value, list):
+        for own in value:
+            _check_integers(own, path, name)
+    elif isinstance(value, int) and not -LARGEST_INTEGER - 1 <= value <= LARGEST_INTEGER:
+        raise ConfigError(f"{path}: {name} is {value}, expected an integer of at most 64 bits")
 
 
 def relative(path: Path, folder: Path) -> str:

@@ -9,6 +9,13 @@ NUMBERS = (
     "nan", "inf", "-inf", "-1", "0", "-0.0", "0.5", "1e308", "-1e308", "1e400", "1e-320", "1e9", "2147483648", "4294967296",
     "18446744073709551616", "1" + "0" * 400, "0x10", "1_0", "1,5", "1e", "--1", "+1", "", " ", "true", "None", "[]", "٣", "½", "1 2",
 )  # fmt: skip
+VALUES = (
+    "nan", "inf", "-inf", "-1", "0", "0.0", "-0.0", "1", "0.5", "-1e-9", "1e-9", "1e-300", "1e308", "-1e308", "1e10", "1e9", "1000000",
+    "100", "1" + "0" * 400, "7" * 5000, "2147483648", "4294967296", "9223372036854775808", "-7", "3.0", "2", "1e5", "40",
+)  # fmt: skip
+"""Numbers that TOML, XML and CSV can hold."""
+KINDS = ("true", "[]", "{}", '""', '"a"', "[1, 2]", "[[1]]", "{ a = 1 }", "1979-05-27", "false", '"nan"', '[""]', "[nan, 1]")
+"""Values of another kind than a number or a text, as TOML has them."""
 TEXTS = (
     "", " ", ".", "..", "/", "\\", "é", "日本語", "🦿", "a\u202eb", "e\u0301", "\ufeff", "a\nb", "\t", "\x1b[31m", "x" * 300, "y" * 70_000,
     "-", "--", "%s%n", "{0}", "[bold]", "[/]", "../../etc", "a=b", "=", ":", "a:b:c", "*", "[", "**", "'", '"', "None", "nan", "~",
@@ -65,6 +72,26 @@ def flipped(data: bytes, random: Random) -> bytes:
         else:
             found[at:at] = random.choice((b"\x00", bytes(found[at : at + 500]), b"PK\x03\x04", b"\x89MCAP0\r\n"))
     return bytes(found)
+
+
+def _number(text: str, random: Random) -> str:
+    """Another number in the place of one."""
+    found = list(re.finditer(r"(?<![\w.])-?\d+\.?\d*(?:[eE][-+]?\d+)?(?![\w.])", text))
+    if not found:
+        return _another_token(text, random)
+    own = random.choice(found)
+    new = random.choice(VALUES) if random.random() < 0.9 else random.choice(KINDS)
+    return text[: own.start()] + new + text[own.end() :]
+
+
+def _value(text: str, random: Random) -> str:
+    """Another value after an equals sign, of the same kind or another, or another quoted text."""
+    found = list(re.finditer(r'(?<== )[^\n#]+|"[^"\n]*"', text))
+    if not found:
+        return _number(text, random)
+    own = random.choice(found)
+    new = random.choice(KINDS) if random.random() < 0.5 else '"' + random.choice(("", " ", "é🦿", "x" * 500, "hip", "hinge", "nan", "..")) + '"'
+    return text[: own.start()] + new + text[own.end() :]
 
 
 def _another_token(text: str, random: Random) -> str:
@@ -124,4 +151,4 @@ def _form(text: str, random: Random) -> str:
     return text * 3
 
 
-CHANGES = (_another_token, _another_token, _another_token, _another_token, _line, _line, _word, _end, _form)
+CHANGES = (*(_number,) * 12, *(_value,) * 6, *(_another_token,) * 3, *(_line,) * 4, *(_word,) * 3, _end, _form)

@@ -32,6 +32,7 @@ from equimus_ctrl.errors import NotAvailable
 from equimus_ctrl.executors.where import Where
 from equimus_ctrl.plants.hardware import transports
 from equimus_ctrl.recordings import download
+from equimus_ctrl.workflow import diagnose as diagnosis
 from equimus_ctrl.workflow import plugins
 from equimus_ctrl.workflow import validate as validation
 
@@ -39,7 +40,7 @@ SECONDS, WALL = 15, 120
 """Of processor time that a case may take, and by the clock."""
 ADDRESSES, GROWTH = 12 * 2**30, 1.5 * 2**20
 """Address space of the process [B], and by how much a case may raise the most memory it ever had [kB]."""
-SENTENCE, MANY = 2300, 12
+SENTENCE, MANY = 1100, 12
 """Characters of a message, and warnings at most."""
 
 
@@ -55,7 +56,7 @@ def stopped(*_: Any, **__: Any) -> Any:
 def seal() -> None:
     """No processes, no network and no robot."""
     Where.opened = Where.shared = stopped  # type: ignore[method-assign]
-    validation.validate = stopped
+    validation.validate = diagnosis.diagnose_within = stopped
     download._tree = stopped
     transports.TRANSPORTS["dds"] = transports.TransportEntry("none in here", stopped, stopped)
 

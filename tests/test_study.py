@@ -57,7 +57,7 @@ def changed(path: str, value: Any) -> dict[str, Any]:
 
 def test_a_study_is_read() -> None:
     study = study_from_dict(GOOD, "s.toml")
-    assert study.objectives == (Objective("hold", 2.0, 2.0), Objective("triangle", 1.0, 0.0))
+    assert study.objectives == (Objective("hold", 2.0, 2.0), Objective("triangle"))
     assert study.weights == Weights(error=5.0, worst=0.25) and study.limits == Limits(overshoot=0.1)
     assert study.ensemble == EnsembleSettings(members=3, delay=(0.0, 0.05))
     assert study.search["kp"] == Range(5.0, 3000.0, 150.0)
@@ -113,8 +113,8 @@ WRONG = [
     ("objectives.0.scenario", 3, "objectives: scenario is 3, expected a text"),
     ("objectives.0.wieght", 1.0, "objectives: there is no key 'wieght'; did you mean 'weight'? (known: duration,"),
     ("objectives.0.weight", -1.0, "objective hold: weight is -1, expected at least 0"),
-    ("objectives.0.duration", -2.0, "objective hold: duration is -2, expected at least 0"),
-    ("objectives.0.duration", math.inf, "objective hold: duration is inf, expected at least 0"),
+    ("objectives.0.duration", -2.0, "objective hold: duration is -2, expected 0.1 to 3600"),
+    ("objectives.0.duration", math.inf, "objective hold: duration is inf, expected 0.1 to 3600"),
     ("weights", 3, "weights is 3, expected a table"),
     ("weights.eror", 3, "weights: there is no key 'eror'; did you mean 'error'? (known: chatter, effort, error,"),
     ("weights.error", -1, "weights: error is -1, expected at least 0"),

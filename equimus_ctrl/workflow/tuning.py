@@ -94,7 +94,6 @@ def autotune(
         for o in settings.objectives
     ]
     make, key_of, tune = _ways(controller, path, isinstance(settings, PlantStudy))
-    problem = make(settings, model, built)
     root, file = presets.workspace(), entry.settings or f"{controller}.toml"
     # A study that names joints is for one robot, whose settings need no name of its own.
     on_plant = isinstance(settings, PlantStudy)
@@ -104,6 +103,8 @@ def autotune(
     stem = f"{stem}_{presets.plain_name(model.name)}" if for_any else stem
     results = options.folder or root / "tuning" / "results" / stem
     presets.check_toml(target)
+    presets.check_folder(results)
+    problem = make(settings, model, built)
     header = {"format": "equimus-ctrl/journal/1", "key": key_of(settings, problem)}
     results = _folder(options, results, header)
     record, copy = results / "record.json", results / file

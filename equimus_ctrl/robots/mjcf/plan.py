@@ -177,14 +177,21 @@ def _check(base: Any, name: str, xml: str) -> None:
             if not isinstance(values, np.ndarray) or values.dtype.kind != "f" or not len(values):
                 continue
             most = math.inf if field.endswith(ENDLESS) else LARGEST
-            wrong = ~(np.abs(values) <= most).reshape(len(values), -1).all(axis=1)
+            least = 0.0 if field.endswith(NOT_NEGATIVE) else -most
+            wrong = ~((values >= least) & (values <= most))
             if wrong.any():
-                k = int(np.argmax(wrong))
-                value = next(v for v in np.ravel(values[k]).tolist() if not abs(v) <= most)
+                row = int(np.argmax(wrong.reshape(len(values), -1).any(axis=1)))
+                value = float(values[row][wrong[row]].flat[0])
                 raise ModelError(
-                    f"{name}: {field.removeprefix(prefix + '_')} of {kind} {_owner(base, prefix, kind, k)!r} is {value:g}, "
-                    "expected a number" + ("" if math.isnan(value) else f" up to {most:g}")
+                    f"{name}: {field.removeprefix(prefix + '_')} of {kind} {_owner(base, prefix, kind, row)!r} is {value:g}, "
+                    "expected a number" + ("" if math.isnan(value) else f" from {least:g} to {most:g}")
                 )
+    for prefix, field in _DIRECTIONS:
+        for row in np.flatnonzero(~(np.abs(np.linalg.norm(getattr(base, f"{prefix}_{field}"), axis=1) - 1) < ROUNDED)):
+            owner = _owner(base, prefix, _CHECKED[prefix], int(row))
+            raise ModelError(
+                f"{name}: {field} of {_CHECKED[prefix]} {owner!r} cannot be normalised, expected numbers of usual size"
+            )
     for dof in np.flatnonzero(~(base.dof_M0 > 0)):
         owner = base.joint(int(base.dof_jntid[dof])).name
         raise ModelError(
@@ -197,6 +204,11 @@ LARGEST = float(mujoco.mjMAXVAL)
 """MuJoCo takes a state beyond it for one that has diverged; no number of a robot's is so large."""
 ENDLESS = ("range", "limited", "springyield", "user")
 """What may be without end."""
+ROUNDED = 1e-6
+"""By so much the length of what MuJoCo has normalised may differ from 1."""
+_DIRECTIONS = (("jnt", "axis"), ("body", "quat"), ("body", "iquat"), ("site", "quat"))
+NOT_NEGATIVE = ("frictionloss", "armature")
+"""What MuJoCo takes below 0, where it means nothing or no robot."""
 DERIVED = ("invweight0", "M0", "length0", "acc0", "lengthrange", "subtreemass", "rgba", "rbound", "aabb")
 """What MuJoCo works out of other parameters, which are listed in their place, or is only seen."""
 _CHECKED = {
