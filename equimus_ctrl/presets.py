@@ -17,6 +17,7 @@ import stat
 import sys
 import tempfile
 import tomllib
+import warnings
 from collections.abc import Callable, Iterable, Mapping
 from contextlib import suppress
 from pathlib import Path
@@ -55,7 +56,8 @@ def read_mjcf(path: Path) -> tuple[str, str, dict[str, bytes]]:
     try:
         text = read_bytes(path).decode("utf-8")
         urdf = path.suffix.lower() == ".urdf"
-        with quietly():  # what is wrong with an XML is told in a sentence
+        with quietly(), warnings.catch_warnings():  # what is wrong with an XML is told in a sentence
+            warnings.filterwarnings("ignore", "Inertia matrix")
             spec = mujoco.MjSpec.from_string(_without_shapes(text)) if urdf else mujoco.MjSpec.from_file(str(path))
             spec.compile()
         # MuJoCo writes numbers to six digits; what includes other files cannot stay as it is.

@@ -24,7 +24,7 @@ from pathlib import Path
 from types import FrameType
 from typing import Any
 
-from fuzz_cases import Case, case, right_files
+from fuzz_cases import Case, case, right_files, unchanged
 
 from equimus_ctrl import presets
 from equimus_ctrl.cli.main import main
@@ -212,6 +212,7 @@ def main_of(arguments: list[str] | None = None) -> int:
     parser.add_argument("--count", type=int, default=100)
     parser.add_argument("--log", type=Path, help="a line of JSON for each case, and one before it with its name")
     parser.add_argument("--keep", type=Path, help="put a case's files there and run nothing")
+    parser.add_argument("--right", action="store_true", help="the calls as they are, nothing changed")
     given = parser.parse_args(arguments)
     seal()
     with tempfile.TemporaryDirectory() as name:
@@ -226,8 +227,8 @@ def main_of(arguments: list[str] | None = None) -> int:
         resource.setrlimit(resource.RLIMIT_AS, (ADDRESSES, resource.getrlimit(resource.RLIMIT_AS)[1]))
         log = given.log.open("w") if given.log else sys.stdout
         wrong = 0
-        for k in range(given.first, given.first + given.count):
-            own = case(given.seed, k, right)
+        made = (case(given.seed, k, right) for k in range(given.first, given.first + given.count))
+        for own in unchanged(right) if given.right else made:
             print(json.dumps({"begun": own.name, "arguments": own.arguments}), file=log, flush=True)
             done = run(own, scratch)
             wrong += bool(done["problems"])

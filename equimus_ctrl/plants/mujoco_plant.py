@@ -34,7 +34,7 @@ def whole_ratio(fast: float, slow: float, what: str) -> int:
         ConfigError: where it is not one.
     """
     ratio = fast / slow
-    if ratio < 1 or abs(ratio - round(ratio)) > 1e-9 * ratio:
+    if not 1 <= ratio < float("inf") or abs(ratio - round(ratio)) > 1e-9 * ratio:
         raise ConfigError(f"{what}: {fast:g} Hz is not a whole multiple of {slow:g} Hz")
     return round(ratio)
 

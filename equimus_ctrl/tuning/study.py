@@ -19,6 +19,9 @@ SHORTEST, LONGEST = 0.1, 3600.0
 """An objective runs at least and at most this long [s]: there is nothing to judge in less, and each candidate is driven
 for as long on each robot of the ensemble."""
 
+MOST_CANDIDATES, MOST_ROBOTS = 1_000_000, 10_000
+"""All of a study's are kept in memory."""
+
 
 def _check(owner: str, key: str, value: float, low: float, high: float = math.inf) -> None:
     if not (low <= value <= high and value < math.inf):
@@ -140,8 +143,8 @@ class EnsembleSettings:
     corners_count: bool = True
 
     def __post_init__(self) -> None:
-        _check("ensemble", "members", self.members, 1)
-        _check("ensemble", "unseen", self.unseen, 0)
+        _check("ensemble", "members", self.members, 1, MOST_ROBOTS)
+        _check("ensemble", "unseen", self.unseen, 0, MOST_ROBOTS)
         for key in ("stiffness", "area", "damping", "rest_length", "mass", "valve_spread"):
             _check("ensemble", key, getattr(self, key), 0.0, 0.95)
         _check("ensemble", "noise", self.noise, 0.0, 0.1)
@@ -185,7 +188,7 @@ class AnyStudy:
             raise ConfigError("a study needs at least one [[objectives]] table")
         if not sum(o.weight for o in self.objectives) > 0:
             raise ConfigError("a study needs an objective with a weight above 0")
-        _check("study", "candidates", self.candidates, 1)
+        _check("study", "candidates", self.candidates, 1, MOST_CANDIDATES)
         _check("study", "polish", self.polish, 0.0, 0.9)
         _check("study", "seed", self.seed, 0)
 
