@@ -68,7 +68,7 @@ def one_line(text: str) -> str:
 
     What a message quotes may be anybody's: several lines of another program's words, or a value of megabytes.
     """
-    text = re.sub(r"\S{%d,}" % (LONGEST_WORD + 1), lambda word: _cut(word[0], LONGEST_WORD), text)
+    text = re.sub(rf"\S{{{LONGEST_WORD + 1},}}", lambda word: _cut(word[0], LONGEST_WORD), text)
     line = re.sub(r"\s*[\n\r\t]\s*", " ", _cut(text, MOST_SAID).strip())
     return "".join(ch if ch.isprintable() else ch.encode("unicode_escape").decode() for ch in line)
 

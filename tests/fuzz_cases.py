@@ -6,6 +6,7 @@ import os
 import shutil
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from itertools import pairwise
 from pathlib import Path
 from random import Random
 from typing import Any
@@ -17,7 +18,7 @@ from fuzz_inputs import changed, flipped, odd_number, odd_path, odd_text, odd_wo
 from wrong_input import study
 
 import equimus_ctrl as eq
-from equimus_ctrl import presets, recordings
+from equimus_ctrl import recordings
 from equimus_ctrl.cli.main import app
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -57,7 +58,14 @@ def right_files(folder: Path) -> dict[str, bytes]:
         recordings.write(folder / name, trial)
     for suffix in ("npz", "parquet", "mcap"):
         eq.write_recording(folder / f"arm.{suffix}", arm)
-    short = list(zip(foreign_logs.TIMES, foreign_logs.motion(foreign_logs.TIMES), foreign_logs.goals(foreign_logs.TIMES), strict=True))[:30]
+    short = list(
+        zip(
+            foreign_logs.TIMES,
+            foreign_logs.motion(foreign_logs.TIMES),
+            foreign_logs.goals(foreign_logs.TIMES),
+            strict=True,
+        )
+    )[:30]
     messages = [foreign_logs.joint_state("/joint_states", t, foreign_logs.JOINTS, q) for t, q, _ in short]
     messages += [foreign_logs.array("/forward_position_controller/commands", t, u) for t, _, u in short]
     foreign_logs.write_bag(folder / "bag", messages)
@@ -94,7 +102,7 @@ def right_files(folder: Path) -> dict[str, bytes]:
 
 
 BRIEF = "--set duration=0.1 --no-figures"
-ARM_LOGS = "arm.csv arm.npz arm.parquet arm.mcap json.mcap bag set".split()
+ARM_LOGS = ["arm.csv", "arm.npz", "arm.parquet", "arm.mcap", "json.mcap", "bag", "set"]
 CALLS: dict[str, tuple[tuple[str, ...], ...]] = {
     f"run hold --model pendulum.xml {BRIEF}": (("pendulum.xml",),) * 4,
     f"run hold --model robot.toml {BRIEF}": (("robot.toml",), ("robot.toml",), ("pendulum.xml",)),
@@ -130,7 +138,10 @@ CALLS: dict[str, tuple[tuple[str, ...], ...]] = {
     "recordings fetch -o folder": ((),),
     "check legs --quick": (("legs/leg.csv",),),
     "check pendulum.csv --model pendulum.xml --budget 1 --parameters free.toml": (("free.toml",), ("pendulum.csv",)),
-    "identify pendulum.csv --model pendulum.xml --no-figures --parameters free.toml": (("free.toml",), ("pendulum.csv",)),
+    "identify pendulum.csv --model pendulum.xml --no-figures --parameters free.toml": (
+        ("free.toml",),
+        ("pendulum.csv",),
+    ),
     "sensitivity pendulum.csv --model pendulum.xml --no-figures": (("pendulum.csv",),),
     "diagnose legs": (("legs/leg.csv",),),
     "diagnose pendulum.csv --model pendulum.xml --parameters free.toml": (("free.toml",), ("pendulum.csv",)),
@@ -193,7 +204,9 @@ def _damage(files: dict[str, bytes], name: str, random: Random) -> None:
     own = [path for path in files if path == name or path.startswith(name + "/")]
     path = random.choice(own)
     if random.random() < 0.05:
-        files[path] = random.choice((b"", b"\x00" * 100, b"\xff\xfe", b"PK\x03\x04", b"PAR1", b"\x89MCAP0\r\n", b"{}", b"[1", b"\n" * 50))
+        files[path] = random.choice(
+            (b"", b"\x00" * 100, b"\xff\xfe", b"PK\x03\x04", b"PAR1", b"\x89MCAP0\r\n", b"{}", b"[1", b"\n" * 50)
+        )
         return
     try:
         text = files[path].decode()
@@ -226,7 +239,20 @@ def _values(option: Any, random: Random) -> list[str]:
     if random.random() < 0.2:
         odd = odd_word
     if option.metavar and "=" in option.metavar and random.random() < 0.8:
-        names = ("duration", "hip", "knee", "hinge", "keyframe", "size", "low", "high", "arm.mass", "maa.stiffness", "pid", odd_text(random))
+        names = (
+            "duration",
+            "hip",
+            "knee",
+            "hinge",
+            "keyframe",
+            "size",
+            "low",
+            "high",
+            "arm.mass",
+            "maa.stiffness",
+            "pid",
+            odd_text(random),
+        )
         if ":" in option.metavar:
             return [f"{random.choice(('coulomb_friction', 'transport_delay', 'payload_mass', 'dead_zone', odd_text(random)))}:"
                     f"{random.choice(('hip', 'baa', 'hinge', 'motor', 'arm', odd_text(random)))}:"
@@ -238,7 +264,7 @@ def _values(option: Any, random: Random) -> list[str]:
 
 def _written(words: list[str]) -> Iterator[str]:
     yield from ("results", "tuning", "identification", "proof", "controllers", "nominal_leg.xml", "slurm-spool")
-    for flag, value in zip(words, words[1:], strict=False):
+    for flag, value in pairwise(words):
         if flag in WRITES:
             yield value
             yield os.path.splitext(value)[0]

@@ -14,7 +14,21 @@ VALUES = (
     "100", "1" + "0" * 400, "7" * 5000, "2147483648", "4294967296", "9223372036854775808", "-7", "3.0", "2", "1e5", "40",
 )  # fmt: skip
 """Numbers that TOML, XML and CSV can hold."""
-KINDS = ("true", "[]", "{}", '""', '"a"', "[1, 2]", "[[1]]", "{ a = 1 }", "1979-05-27", "false", '"nan"', '[""]', "[nan, 1]")
+KINDS = (
+    "true",
+    "[]",
+    "{}",
+    '""',
+    '"a"',
+    "[1, 2]",
+    "[[1]]",
+    "{ a = 1 }",
+    "1979-05-27",
+    "false",
+    '"nan"',
+    '[""]',
+    "[nan, 1]",
+)
 """Values of another kind than a number or a text, as TOML has them."""
 TEXTS = (
     "", " ", ".", "..", "/", "\\", "é", "日本語", "🦿", "a\u202eb", "e\u0301", "\ufeff", "a\nb", "\t", "\x1b[31m", "x" * 300, "y" * 70_000,
@@ -35,7 +49,9 @@ def odd_number(random: Random) -> str:
 
 def odd_text(random: Random) -> str:
     if random.random() < 0.2:
-        return "".join(chr(random.choice((9, 32, 46, 47, 61, 92, 91, 93, 0x7F, 0xE9, 0x301, 0x202E, 0x1F9BF))) for _ in range(8))
+        return "".join(
+            chr(random.choice((9, 32, 46, 47, 61, 92, 91, 93, 0x7F, 0xE9, 0x301, 0x202E, 0x1F9BF))) for _ in range(8)
+        )
     return random.choice(TEXTS)
 
 
@@ -66,7 +82,9 @@ def flipped(data: bytes, random: Random) -> bytes:
         elif kind == 1 and found:
             found[at] ^= 1 << random.randrange(8)
         elif kind == 2:
-            found[at : at + 4] = random.choice((b"\xff\xff\xff\xff", b"\x00\x00\x00\x00", b"\xff\xff\xff\x7f", b"\x00\x00\xf0\x7f"))
+            found[at : at + 4] = random.choice(
+                (b"\xff\xff\xff\xff", b"\x00\x00\x00\x00", b"\xff\xff\xff\x7f", b"\x00\x00\xf0\x7f")
+            )
         elif kind == 3:
             del found[at : at + random.choice((1, 8, 1000))]
         else:
@@ -90,7 +108,11 @@ def _value(text: str, random: Random) -> str:
     if not found:
         return _number(text, random)
     own = random.choice(found)
-    new = random.choice(KINDS) if random.random() < 0.5 else '"' + random.choice(("", " ", "é🦿", "x" * 500, "hip", "hinge", "nan", "..")) + '"'
+    new = (
+        random.choice(KINDS)
+        if random.random() < 0.5
+        else '"' + random.choice(("", " ", "é🦿", "x" * 500, "hip", "hinge", "nan", "..")) + '"'
+    )
     return text[: own.start()] + new + text[own.end() :]
 
 
@@ -116,7 +138,12 @@ def _line(text: str, random: Random) -> str:
     elif kind == 2:
         lines[at], lines[to] = lines[to], lines[at]
     elif kind == 3:
-        lines.insert(at, random.choice(("# set.nonsense = 1", "[a]", "a = 1", "=", ",,,,", "<x>", "\x00", "[[effects]]", odd_text(random))))
+        lines.insert(
+            at,
+            random.choice(
+                ("# set.nonsense = 1", "[a]", "a = 1", "=", ",,,,", "<x>", "\x00", "[[effects]]", odd_text(random))
+            ),
+        )
     else:
         lines[at] = lines[at][: random.randrange(len(lines[at]) + 1)]
     return "\n".join(lines)

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import io
 import json
 import os
 import re
@@ -26,7 +27,6 @@ from typing import Any
 
 from fuzz_cases import Case, case, right_files, unchanged
 
-from equimus_ctrl import presets
 from equimus_ctrl.cli.main import main
 from equimus_ctrl.errors import NotAvailable
 from equimus_ctrl.executors.where import Where
@@ -87,7 +87,9 @@ def captured(folder: Path) -> Iterator[None]:
     with open(folder / "out", "w+b") as out, open(folder / "err", "w+b") as err:
         os.dup2(out.fileno(), 1)
         os.dup2(err.fileno(), 2)
-        sys.stdout, sys.stderr = (open(fd, "w", encoding="utf-8", errors="backslashreplace", closefd=False) for fd in (1, 2))
+        sys.stdout, sys.stderr = (
+            io.TextIOWrapper(io.FileIO(fd, "w", closefd=False), "utf-8", "backslashreplace") for fd in (1, 2)
+        )
         try:
             yield
         finally:
@@ -133,7 +135,11 @@ def problems(own: Case, code: Any, out: str, err: str, before: dict[str, Any], a
         yield f"exit code {code}"
     if "Traceback" in err or "Exception ignored" in err:
         yield "a traceback"
-    said = [line for line in err.splitlines() if line.startswith("equimus-ctrl: ") and not line.startswith("equimus-ctrl: warning: ")]
+    said = [
+        line
+        for line in err.splitlines()
+        if line.startswith("equimus-ctrl: ") and not line.startswith("equimus-ctrl: warning: ")
+    ]
     judged = code == 2 and own.arguments[:1] == ("check",) and not said  # its report says what stops a diagnosis
     if code in (2, 3) and len(said) != 1 and not judged and not (code == 3 and own.arguments[0] == "compare"):
         yield f"{len(said)} sentences"
@@ -163,7 +169,13 @@ def problems(own: Case, code: Any, out: str, err: str, before: dict[str, Any], a
 
 def _below(path: str, where: str) -> bool:
     where = os.path.normpath(where)
-    return where == "." or path == where or path.startswith(where + "/") or where.startswith(path + "/") or path.startswith(where + ".")
+    return (
+        where == "."
+        or path == where
+        or path.startswith(where + "/")
+        or where.startswith(path + "/")
+        or path.startswith(where + ".")
+    )
 
 
 def run(own: Case, scratch: Path) -> dict[str, Any]:

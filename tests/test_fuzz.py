@@ -38,7 +38,9 @@ def outcomes(log: Path, *arguments: str) -> list[dict[str, Any]]:
     command = [sys.executable, "-X", "faulthandler", str(RUNNER), "--log", str(log), *arguments]
     done = subprocess.run(command, capture_output=True, text=True, env={**os.environ, "COLUMNS": "100"}, check=False)
     rows: list[dict[str, Any]] = [json.loads(line) for line in log.read_text().splitlines()]
-    assert rows and "problems" in rows[-1], f"{rows[-1:]} ended the process with {done.returncode}: {done.stderr[-2000:]}"
+    assert rows and "problems" in rows[-1], (
+        f"{rows[-1:]} ended the process with {done.returncode}: {done.stderr[-2000:]}"
+    )
     return [row for row in rows if "problems" in row]
 
 
@@ -63,7 +65,9 @@ def test_each_call_is_right_before_anything_is_changed(tmp_path: Path) -> None:
     assert len(found) == len(CALLS)
     for row in found:
         assert not row["problems"], row
-        assert row["code"] == 0 or "the fuzzer goes no farther" in row["err"] or "too short to diagnose" in row["err"], row
+        assert (
+            row["code"] == 0 or "the fuzzer goes no farther" in row["err"] or "too short to diagnose" in row["err"]
+        ), row
 
 
 def test_the_same_seed_gives_the_same_cases(tmp_path: Path) -> None:
@@ -116,5 +120,9 @@ def test_a_malformed_message_is_lost_and_the_next_is_not(seed: int, monkeypatch:
         stamp = message.header.stamp.sec + message.header.stamp.nanosec / 1e9
         judged = guard.first(Sample(stamp, 0.0, tuple(message.name), tuple(message.position), 0))
         assert isinstance(judged, Measurements) or (judged and "\n" not in judged)
-    left = messages(monkeypatch, [*(flipped(command.serialize(), random) for _ in range(300)), command.serialize()], Float64MultiArray)
+    left = messages(
+        monkeypatch,
+        [*(flipped(command.serialize(), random) for _ in range(300)), command.serialize()],
+        Float64MultiArray,
+    )
     assert left[-1].data == command.data

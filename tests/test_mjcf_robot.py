@@ -366,9 +366,7 @@ SICK_PARTS = {
 
 
 @pytest.mark.parametrize("what", SICK_PARTS)
-def test_numbers_of_parts_that_are_none_are_refused(
-    what: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_numbers_of_parts_that_are_none_are_refused(what: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Without a word of MuJoCo's own, in its log or on the screen."""
     monkeypatch.chdir(tmp_path)
     told, attribute = SICK_PARTS[what]

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING
 
 from equimus_ctrl.options.fields import (
     NAMES,
-    at_least,
     bounds_option,
+    counted,
     engine_option,
     mapping_option,
     parameters_option,
@@ -71,4 +71,4 @@ class CheckOptions:
 
     def __post_init__(self) -> None:
         """Check the values."""
-        at_least("threads", self.threads, 1)
+        counted("threads", self.threads)

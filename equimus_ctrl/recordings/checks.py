@@ -139,7 +139,9 @@ def check_sizes(sheet: Tabular, columns: Sequence[str], values: Array) -> None:
     if beyond.any():
         row, k = (int(i) for i in np.argwhere(beyond)[0])
         raise sheet.error(
-            row, columns[k], f"{number(float(values[row, k]))} is beyond ±{LARGEST:g}; a number in SI units belongs there"
+            row,
+            columns[k],
+            f"{number(float(values[row, k]))} is beyond ±{LARGEST:g}; a number in SI units belongs there",
         )
 
 

@@ -184,14 +184,14 @@ def _check(base: Any, name: str, xml: str) -> None:
             wrong = ~((values >= least) & (values <= most))
             if wrong.any():
                 row = int(np.argmax(wrong.reshape(len(values), -1).any(axis=1)))
-                value = float(values[row][wrong[row]].flat[0])
-                raise ModelError(
-                    f"{name}: {field.removeprefix(prefix + '_')} of {kind} {_owner(base, prefix, kind, row)!r} is {value:g}, "
-                    "expected a number" + ("" if math.isnan(value) else f" from {least:g} to {most:g}")
-                )
+                found = float(values[row][wrong[row]].flat[0])
+                whose = f"{field.removeprefix(f'{prefix}_')} of {kind} {_owner(base, prefix, kind, row)!r}"
+                span = "" if math.isnan(found) else f" from {least:g} to {most:g}"
+                raise ModelError(f"{name}: {whose} is {found:g}, expected a number{span}")
     for prefix, field in _DIRECTIONS:
-        for row in np.flatnonzero(~(np.abs(np.linalg.norm(getattr(base, f"{prefix}_{field}"), axis=1) - 1) < ROUNDED)):
-            owner = _owner(base, prefix, _CHECKED[prefix], int(row))
+        sizes = np.linalg.norm(getattr(base, f"{prefix}_{field}"), axis=1)
+        for row in np.flatnonzero(~(np.abs(sizes - 1) < ROUNDED)).tolist():
+            owner = _owner(base, prefix, _CHECKED[prefix], row)
             raise ModelError(
                 f"{name}: {field} of {_CHECKED[prefix]} {owner!r} cannot be normalised, expected numbers of usual size"
             )
