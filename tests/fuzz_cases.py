@@ -148,7 +148,7 @@ CALLS: dict[str, tuple[tuple[str, ...], ...]] = {
     f"compare hold --model pendulum.xml -c pid --condition nominal {BRIEF}": (("pendulum.xml",),),
     "autotune-pid --study study.toml --no-figures": (("study.toml",),) * 3,
     "autotune lqr --study leg.toml --no-figures": (("leg.toml",),) * 2,
-    "autotune sampling --model pendulum.xml --study any.toml": (("any.toml",), ("pendulum.xml",)),
+    "autotune lqr --model pendulum.xml --study any.toml": (("any.toml",), ("pendulum.xml",)),
     "prove --cases 2": ((),),
     "prove pendulum.csv --model pendulum.xml --cases 2": (("pendulum.csv",),),
     "prove --cases 2 --slurm slurm.toml": (("slurm.toml",),) * 2,

@@ -30,7 +30,7 @@ from equimus_ctrl.plants.hardware.transport import Sample
 from equimus_ctrl.plants.mujoco_plant import make_spec
 
 RUNNER = Path(__file__).with_name("fuzz_runner.py")
-SEED, COUNT, PARTS = 1, 1000, 4
+SEED, COUNT, PARTS = 1, 1000, 2
 
 
 def outcomes(log: Path, *arguments: str) -> list[dict[str, Any]]:
