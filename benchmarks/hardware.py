@@ -14,6 +14,7 @@
 from __future__ import annotations
 
 import argparse
+import importlib.util
 import json
 import os
 import signal
@@ -75,6 +76,8 @@ def main() -> None:
         "--only", action="append", metavar="FAULT", help="this fault alone, without the loop; repeatable"
     )
     given = parser.parse_args()
+    if importlib.util.find_spec("cyclonedds") is None:
+        raise SystemExit("Cyclone DDS is not installed; get it with: pip install 'equimus-ctrl[hardware]'")
     record: dict[str, Any] = {"seed": given.seed, "times": given.times}
     with tempfile.TemporaryDirectory() as folder:
         if not given.only:

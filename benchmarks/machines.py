@@ -112,6 +112,9 @@ def main() -> None:
     parser.add_argument("--json", action="store_true", help="print JSON on standard output")
     parser.add_argument("--record", type=Path, metavar="DIR", help="write the recordings here, one folder a robot")
     given = parser.parse_args()
+    for file in (given.robots / CASES[joints][0] for joints in given.only):
+        if not file.is_file():
+            raise SystemExit(f"{file}: there is no such file; --robots names the folder, --only leaves robots out")
     rows = []
     for joints in given.only:
         xml, joint, size = CASES[joints]

@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import importlib.util
 import io
 import json
 import statistics
@@ -60,6 +61,8 @@ def main() -> None:
     parser.add_argument("--output", type=Path)
     parser.add_argument("--without-do-mpc", action="store_true")
     given = parser.parse_args()
+    if not given.without_do_mpc and importlib.util.find_spec("do_mpc") is None:
+        raise SystemExit("do-mpc is not installed; get it with: pip install -e '.[peers]', or give --without-do-mpc")
     reference = load_scenario("triangle", LEG, search=False).reference
     record: dict[str, Any] = {"seconds": given.seconds}
     record["closed_loop"] = closed_loop(reference, given.seconds)

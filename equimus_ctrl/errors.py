@@ -11,8 +11,8 @@ import re
 from collections.abc import Iterable
 from typing import Any
 
-MOST_SAID = 2000
-"""Characters of a message."""
+MOST_SAID, LONGEST_WORD, MOST_LISTED = 1000, 200, 400
+"""Characters of a message, of what stands in it without a space (a number, a name, a path), and of a list of names."""
 
 
 class EquimusError(Exception):
@@ -68,11 +68,15 @@ def one_line(text: str) -> str:
 
     What a message quotes may be anybody's: several lines of another program's words, or a value of megabytes.
     """
-    half = MOST_SAID // 2
-    if len(text) > MOST_SAID:
-        text = f"{text[:half]} … ({len(text) - 2 * half} characters) … {text[-half:]}"
-    line = re.sub(r"\s*[\n\r\t]\s*", " ", text.strip())
+    text = re.sub(rf"\S{{{LONGEST_WORD + 1},}}", lambda word: _cut(word[0], LONGEST_WORD), text)
+    line = re.sub(r"\s*[\n\r\t]\s*", " ", _cut(text, MOST_SAID).strip())
     return "".join(ch if ch.isprintable() else ch.encode("unicode_escape").decode() for ch in line)
+
+
+def _cut(text: str, most: int) -> str:
+    """A text without its middle where it is longer than so many characters."""
+    half = most // 2
+    return text if len(text) <= most else f"{text[:half]} … ({len(text) - 2 * half} characters) … {text[-half:]}"
 
 
 def nearest(name: str, known: Iterable[str]) -> str:
@@ -85,7 +89,11 @@ def unknown_name(kind: str, name: str, known: Iterable[str], where: str = "") ->
     """One sentence for a name that does not exist, listing those that do."""
     names = sorted(known)
     place = f"{where}: " if where else ""
-    return f"{place}there is no {kind} {name!r}{nearest(name, names)} (known: {', '.join(names) or 'none'})"
+    listed = ", ".join(names) or "none"
+    if len(listed) > MOST_LISTED:
+        listed = listed[: listed.rindex(", ", 0, MOST_LISTED)]
+        listed += f" and {len(names) - listed.count(', ') - 1} more"
+    return f"{place}there is no {kind} {name!r}{nearest(name, names)} (known: {listed})"
 
 
 def needs(package: str, extra: str, what: str) -> NotAvailable:

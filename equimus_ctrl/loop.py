@@ -14,6 +14,9 @@ from equimus_ctrl.errors import FAILURES, ConfigError, ControllerError, EquimusE
 from equimus_ctrl.robots.reading import command_words, position_word
 from equimus_ctrl.types import Array, Controller, KnowsTruth, Plant, PlantSpec, Reference, Run, Sense, Start
 
+MOST_INSTANTS = 20_000_000
+"""Control instants of a run, all of which are kept: 46 hours at 120 Hz."""
+
 
 def run(
     plant: Plant,
@@ -47,6 +50,11 @@ def run(
     n = round(duration / spec.control_dt) if math.isfinite(duration) else 0
     if n < 1:
         raise ConfigError(f"duration is {duration:g} s, expected at least one control period of {spec.control_dt:g} s")
+    if n > MOST_INSTANTS:
+        raise ConfigError(
+            f"duration is {duration:g} s, {n:.3g} control periods of {spec.control_dt:g} s; expected at most "
+            f"{MOST_INSTANTS:,} of them"
+        )
     nj, na = len(spec.joints), len(spec.actuators)
     times, solve_time = np.empty(n), np.empty(n)
     position, wanted = np.empty((n, nj)), np.empty((n, nj))
@@ -159,7 +167,10 @@ def checked_command(command: object, spec: PlantSpec, at: float, who: str) -> Ar
     """
     words, one = command_words(spec.command_units)
     try:
-        array = np.asarray(command, dtype=np.float64)
+        given = np.asarray(command)
+        if given.dtype.kind not in "biufO":  # complex numbers would lose a part of theirs, texts may read as numbers
+            raise TypeError
+        array = np.asarray(given, dtype=np.float64)
     except (TypeError, ValueError):
         raise ControllerError(f"{who} returned {command!r} at {at:.3f} s, expected {words}") from None
     if array.shape != (len(spec.actuators),):

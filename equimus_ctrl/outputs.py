@@ -136,7 +136,11 @@ def reserved(path: Path) -> Iterator[Path]:
 
 
 def check_new(path: Path, force: bool = False) -> None:
-    """Raise ConfigError where a file that is to be written is there already and is not to be replaced."""
+    """Raise ConfigError where a file cannot be written, or is there already and is not to be replaced.
+
+    What is there and is no file, such as a folder or a device, is never replaced.
+    """
+    presets.check_place(path)
     if os.path.lexists(path) and not force:
         raise ConfigError(f"{path}: is there already; expected another name, or --force to replace it")
 

@@ -17,6 +17,7 @@ import stat
 import sys
 import tempfile
 import tomllib
+import warnings
 from collections.abc import Callable, Iterable, Mapping
 from contextlib import suppress
 from pathlib import Path
@@ -55,7 +56,8 @@ def read_mjcf(path: Path) -> tuple[str, str, dict[str, bytes]]:
     try:
         text = read_bytes(path).decode("utf-8")
         urdf = path.suffix.lower() == ".urdf"
-        with quietly():  # what is wrong with an XML is told in a sentence
+        with quietly(), warnings.catch_warnings():  # what is wrong with an XML is told in a sentence
+            warnings.filterwarnings("ignore", "Inertia matrix")
             spec = mujoco.MjSpec.from_string(_without_shapes(text)) if urdf else mujoco.MjSpec.from_file(str(path))
             spec.compile()
         # MuJoCo writes numbers to six digits; what includes other files cannot stay as it is.
@@ -132,13 +134,31 @@ def read_toml(path: Path) -> dict[str, Any]:
         ConfigError: where it cannot be read or is not TOML.
     """
     try:
-        return tomllib.loads(read_bytes(path).decode("utf-8").replace("\r\n", "\n"))
+        data = tomllib.loads(read_bytes(path).decode("utf-8").replace("\r\n", "\n"))
+        _check_integers(data, path)
+        return data
     except UnicodeDecodeError as error:
         raise ConfigError(f"{path}: cannot be read ({error})") from None
     except RecursionError:
         raise ConfigError(f"{path}: is nested too deeply to be read") from None
-    except tomllib.TOMLDecodeError as error:
+    except ValueError as error:  # TOMLDecodeError, or an integer of more digits than Python reads
         raise ConfigError(f"{path}: is not valid TOML: {error}") from None
+
+
+LARGEST_INTEGER = 2**63 - 1
+"""Of TOML."""
+
+
+def _check_integers(value: Any, path: Path, name: str = "") -> None:
+    """Raise ConfigError for an integer that TOML does not have: no floating-point number may be as large."""
+    if isinstance(value, dict):
+        for key, own in value.items():
+            _check_integers(own, path, f"{name}.{key}" if name else key)
+    elif isinstance(value, list):
+        for own in value:
+            _check_integers(own, path, name)
+    elif isinstance(value, int) and not -LARGEST_INTEGER - 1 <= value <= LARGEST_INTEGER:
+        raise ConfigError(f"{path}: {name} is {value}, expected an integer of at most 64 bits")
 
 
 def relative(path: Path, folder: Path) -> str:
@@ -186,6 +206,7 @@ def write_bytes(path: Path, data: bytes) -> None:
     Raises:
         ConfigError: where it cannot be written there.
     """
+    check_place(path)  # renaming would take the place of a device
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         with tempfile.NamedTemporaryFile(dir=path.parent, suffix=".tmp", delete=False) as out:
@@ -229,20 +250,32 @@ def check_xml(path: Path) -> None:
     _check_file(path, ".xml", "XML")
 
 
-def check_file(path: Path) -> None:
-    """Raise ConfigError where a file cannot be written: its folder cannot be, or a folder is in its place."""
-    try:
-        check_folder(path.parent)
-    except ConfigError as error:
-        raise ConfigError(f"{path}: cannot be written; {error}") from None
-    if path.is_dir():
-        raise ConfigError(f"{path}: is a folder; a file to write belongs there")
+def check_png(path: Path) -> None:
+    """The same of a picture."""
+    _check_file(path, ".png", "PNG")
 
 
 def _check_file(path: Path, suffix: str, what: str) -> None:
-    check_file(path)
+    check_place(path)
     if path.suffix.lower() != suffix:
         raise ConfigError(f"{path}: what is written there is {what}; expected a name that ends in {suffix}")
+
+
+def check_place(path: Path) -> None:
+    """Raise ConfigError where no file can be written: nothing can be put into its folder, or what is there is none."""
+    try:
+        check_folder(path.parent)
+        there = path.stat() if os.path.lexists(path) else None
+    except ConfigError as error:
+        raise ConfigError(f"{path}: cannot be written; {error}") from None
+    except FileNotFoundError:  # a link to nowhere is replaced as a file is
+        return
+    except OSError as error:  # a loop of links, or a name too long
+        raise ConfigError(f"{path}: cannot be written ({error.strerror or error})") from None
+    if there is not None and stat.S_ISDIR(there.st_mode):
+        raise ConfigError(f"{path}: is a folder; a file to write belongs there")
+    if there is not None and not stat.S_ISREG(there.st_mode):
+        raise ConfigError(f"{path}: is a pipe or a device; a file to write belongs there")
 
 
 def make_folder(path: Path) -> None:

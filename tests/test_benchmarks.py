@@ -5,6 +5,7 @@ from __future__ import annotations
 import ast
 import dataclasses
 import importlib
+import importlib.util
 import runpy
 import subprocess
 import sys
@@ -155,3 +156,36 @@ def test_masses_differ_and_commands_are_late_where_a_work_says_so(
     assert len(set(masses)) == 3 and np.all(np.abs(masses / 0.1 - 1) <= works.MASS)
     assert all(effect.parameters()["delay"] == works.LATE for own in robots for effect in own.effects)
     assert spread.robots(3, 1)[0].robot.parameters() == robots[0].robot.parameters()
+
+
+@pytest.mark.parametrize(
+    ("script", "package"), [("nmpc.py", "do_mpc"), ("hardware.py", "cyclonedds")], ids=["do-mpc", "dds"]
+)
+def test_a_benchmark_says_what_it_lacks_before_it_begins(
+    script: str, package: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    pytest.importorskip("rich")
+    found = importlib.util.find_spec
+    monkeypatch.setattr(
+        importlib.util, "find_spec", lambda name, *more: None if name == package else found(name, *more)
+    )
+    monkeypatch.setattr(sys, "argv", [script])
+    monkeypatch.setenv("CYCLONEDDS_URI", "")
+    own = runpy.run_path(str(ROOT / "benchmarks" / script))
+    with pytest.raises(SystemExit, match="is not installed; get it with: pip install"):
+        own["main"]()
+    assert capsys.readouterr().out == ""
+
+
+@pytest.mark.parametrize(
+    ("script", "folder"), [("machines.py", "--robots"), ("real_machines/run.py", "--converted")]
+)  # fmt: skip
+def test_a_benchmark_says_which_recordings_are_absent_before_it_begins(
+    script: str, folder: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "argv", [script, folder, str(tmp_path)])
+    own = runpy.run_path(str(ROOT / "benchmarks" / script))
+    with pytest.raises(SystemExit, match="there is no such"):
+        own["main"]()
+    assert capsys.readouterr().out == "" and not list(tmp_path.iterdir())

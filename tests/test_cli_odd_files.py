@@ -12,7 +12,7 @@ import pytest
 
 from equimus_ctrl import presets
 from equimus_ctrl.cli.main import main
-from equimus_ctrl.errors import MOST_SAID, ConfigError, one_line
+from equimus_ctrl.errors import LONGEST_WORD, MOST_SAID, ConfigError, one_line
 from equimus_ctrl.workflow import listed_scenarios, scenario_names
 from equimus_ctrl.workflow.runs import scenario_entry
 
@@ -65,8 +65,11 @@ def test_a_message_is_one_line_that_somebody_reads() -> None:
     assert one_line("a bell \a, a colour \x1b[31m") == "a bell \\x07, a colour \\x1b[31m"
     assert one_line("näher als 1 µm") == "näher als 1 µm"
     long = one_line("begins " + "y" * 6_000_000 + " ends")
-    assert len(long) < MOST_SAID + 50 and long.startswith("begins ") and long.endswith(" ends")
-    assert "… (5998012 characters) …" in long
+    assert len(long) < LONGEST_WORD + 50 and long.startswith("begins ") and long.endswith(" ends")
+    assert "… (5999800 characters) …" in long
+    words = one_line("begins " + "yes " * 1_000_000 + "ends")
+    assert len(words) < MOST_SAID + 50 and words.startswith("begins ") and words.endswith(" ends")
+    assert "… (3999011 characters) …" in words
 
 
 def test_output_that_cannot_be_written_is_told(told: Callable[..., str], tmp_path: Path) -> None:

@@ -76,7 +76,7 @@ STUDIES: list[tuple[dict[str, Any], str]] = [
     ({"ensemble": {"delay": [-0.1, 0.1]}}, "ensemble: delay is -0.1, expected 0 to 2"),
     ({"ensemble": {"delay": [0.2, 0.1]}}, "ensemble: delay is 0.1, expected 0.2 to 2"),
     ({"ensemble": {"stiffness": -0.1}}, "ensemble: stiffness is -0.1, expected 0 to 0.95"),
-    ({"ensemble": {"members": 0}}, "ensemble: members is 0, expected at least 1"),
+    ({"ensemble": {"members": 0}}, "ensemble: members is 0, expected 1 to 10000"),
     ({"ensemble": {"noise": -1}}, "ensemble: noise is -1, expected 0 to 0.1"),
     ({"weights": {"error": -1}}, "weights: error is -1, expected at least 0"),
     ({"limits": {"modulus": 2}}, "limits: modulus is 2, expected 0 to 1"),

@@ -301,7 +301,7 @@ def test_effects_on_a_replay_are_refused(leg_dir: Path) -> None:
             "there is no plant 'mojoco'; did you mean 'mujoco'? (known: hardware, mujoco, re",
         ),
         ({"plant": "replay"}, eq.NotAvailable, "the replay plant plays the scenario's recording, and there is none"),
-        ({"noise": -1.0}, eq.ConfigError, "noise is -1 rad, expected 0 or more"),
+        ({"noise": -1.0}, eq.ConfigError, "noise is -1 rad or m, expected 0 to 1"),
         ({"controller": "PID"}, eq.ControllerError, "there is no controller 'PID'"),
         ({"controller": "nowhere.py:X"}, eq.ConfigError, "nowhere.py: there is no such file"),
         ({"effects": [eq.TransportDelay("hip", 0.1)]}, eq.ConfigError, "nominal_leg: effect transport_delay: there is"),

@@ -222,8 +222,12 @@ def main(arguments: Sequence[str] | None = None) -> None:
     given = parser.parse_args(arguments)
     if not given.converted.is_dir():
         raise SystemExit(f"{given.converted}: there is no such folder; write it with convert.py")
+    names = given.names or list(CASES)
+    for folder in (given.converted / CASES[name].recordings for name in names):
+        if not folder.is_dir():
+            raise SystemExit(f"{folder}: there is no such folder; write it with convert.py")
     rows = []
-    for name in given.names or CASES:
+    for name in names:
         print(name, flush=True)
         rows.append(summary(name, diagnosed(name, given.converted, given.output)))
         tell(rows[-1])

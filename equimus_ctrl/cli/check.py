@@ -40,9 +40,10 @@ def check(
     equimus-ctrl check my_recordings --quick --json
     equimus-ctrl check runs --model robot.xml --free '*.mass' --budget 120
     """  # noqa: D301
-    from equimus_ctrl import outputs
+    from equimus_ctrl import outputs, presets
 
     if figure is not None:
+        presets.check_png(figure)
         outputs.check_new(figure, force)
     console = people()
     with stage_bar(console, "reading") as show:

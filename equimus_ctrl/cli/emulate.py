@@ -90,7 +90,7 @@ def emulate(
     )
     wired = workflow.load_hardware(hardware, robot, domain, driven=False)
     if log is not None:
-        presets.check_folder(log.parent)
+        presets.check_place(log)
 
     def notify(seen: Emulated) -> None:
         if log is not None:

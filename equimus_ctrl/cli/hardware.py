@@ -128,9 +128,11 @@ def delay(
     if not arm:
         raise ConfigError("a delay can only be measured on a robot that is commanded; give --arm")
     check_model_file(write_model, force)
+    folder = record or presets.workspace() / "results" / "hardware"
+    presets.check_folder(folder)
     robot = chosen.read()
     wired = workflow.load_hardware(hardware, robot, domain)
-    path = new_file(record or presets.workspace() / "results" / "hardware", "delay")
+    path = new_file(folder, "delay")
     try:
         with share_bar(console, "sweep") as show:
             workflow.run_scenario(

@@ -6,9 +6,10 @@ import logging
 import os
 import sys
 import warnings
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
+from typer.exceptions import TyperException
 
 from equimus_ctrl.cli import (
     autotune,
@@ -89,22 +90,41 @@ def main(arguments: list[str] | None = None) -> int:
         told.addHandler(_ToPeople())
         told.setLevel(logging.INFO)
     try:
-        app(args=arguments, prog_name="equimus-ctrl")
+        code = app(args=arguments, prog_name="equimus-ctrl", standalone_mode=False)
     except SystemExit as stop:
         return stop.code if isinstance(stop.code, int) else int(stop.code is not None)
+    except TyperException as error:
+        return _usage(error)
     except EquimusError as error:
-        print(f"equimus-ctrl: {one_line(str(error))}", file=sys.stderr)
+        _say(str(error))
         return 3 if type(error).__name__ in ("NothingFeasible", "SimulationDiverged", "HardwareFault") else 2
     except OSError as error:  # a name too long, a loop of links, a full disk: of whatever path, whatever the verb
-        where = "" if error.filename is None else f"{error.filename}: "
-        print(f"equimus-ctrl: {one_line(where + (error.strerror or str(error)))}", file=sys.stderr)
+        _say(("" if error.filename is None else f"{error.filename}: ") + (error.strerror or str(error)))
+        return 2
+    except MemoryError as error:
+        _say(f"there is not enough memory for what was given ({error or 'of this process'})")
         return 2
     except RuntimeError as error:
         if not str(error).startswith("Symlink loop"):  # pathlib's word for what the system calls an OSError
             raise
-        print(f"equimus-ctrl: {one_line(str(error))}", file=sys.stderr)
+        _say(str(error))
         return 2
-    return 0
+    return code if isinstance(code, int) else 0
+
+
+def _say(sentence: str) -> None:
+    print(f"equimus-ctrl: {one_line(sentence)}", file=sys.stderr)
+
+
+def _usage(error: Any) -> int:
+    """Tell of arguments that the command line does not have, or that are of the wrong type; its exit code."""
+    if type(error).__name__ == "NoArgsIsHelpError":  # nothing was given at all: its message is the help
+        print(error.format_message())
+    else:
+        context = getattr(error, "ctx", None)
+        where = "equimus-ctrl" if context is None else context.command_path
+        _say(f"{str(error.format_message()).strip().rstrip('.')}; see {where} --help")
+    return int(error.exit_code)
 
 
 class _ToPeople(logging.Handler):
@@ -116,7 +136,7 @@ class _ToPeople(logging.Handler):
 
 
 def _show_warning(message: Warning | str, category: type[Warning], filename: str, lineno: int, *_: object) -> None:
-    print(f"equimus-ctrl: warning: {message}", file=sys.stderr)
+    _say(f"warning: {message}")
 
 
 def entry() -> None:

@@ -27,8 +27,11 @@ def with_options(verb: Verb) -> Verb:
 
     @functools.wraps(verb)
     def command(**given: Any) -> None:
+        from equimus_ctrl.quiet import quietly
+
         made = {key: filled(kind, {name: given.pop(name) for name in offered(kind)}) for key, kind in kinds.items()}
-        verb(**made, **given)
+        with quietly():  # whatever a model makes MuJoCo warn of is told in a sentence, if it matters
+            verb(**made, **given)
 
     parameters: list[inspect.Parameter] = []
     for parameter in own.parameters.values():

@@ -68,8 +68,9 @@ def import_(
     equimus-ctrl recordings import my_bag run.mcap --model robot.xml -o trials
     equimus-ctrl recordings import my_dataset --model so101.xml --map degrees.toml -o trials
     """  # noqa: D301 (the backspace keeps the lines of the examples apart)
-    from equimus_ctrl import recordings, workflow
+    from equimus_ctrl import presets, recordings, workflow
 
+    presets.check_folder(output)
     limits = _limits(command_low, command_high)
     if chosen.model is None and mapping is None:
         files = recordings.convert(sources, output, force=force, limits=limits)
@@ -120,8 +121,9 @@ def import_bag(
     equimus-ctrl recordings import-bag my_bag --output trials
     equimus-ctrl recordings import-bag run_1.mcap run_2.mcap -o trials --hardware my_robot.toml
     """  # noqa: D301
-    from equimus_ctrl import workflow
+    from equimus_ctrl import presets, workflow
 
+    presets.check_folder(output)
     robot = workflow.load_model(model)
     wired = workflow.load_hardware(hardware, robot, driven=False)
     files = [workflow.import_bag(bag, output, robot, wired, force) for bag in bags]
@@ -248,9 +250,10 @@ def export(
     equimus-ctrl recordings export trials --augmented corrected.toml -o trials.rrd
     equimus-ctrl recordings export trials --ros2 -o bags
     """  # noqa: D301
-    from equimus_ctrl import workflow
+    from equimus_ctrl import presets, workflow
     from equimus_ctrl.errors import ConfigError
 
+    presets.check_folder(output.parent)
     if diagnosis is not None and (refitted is not None or augmented is not None):
         raise ConfigError("--diagnosis has a refitted and an augmented model; expected it or --refitted, --augmented")
     model = chosen.read(recordings)
@@ -282,8 +285,10 @@ def fetch(
     equimus-ctrl recordings fetch
     equimus-ctrl recordings fetch --output ~/leg
     """  # noqa: D301 (the backspace keeps the lines of the examples apart)
-    from equimus_ctrl import recordings
+    from equimus_ctrl import presets, recordings
 
+    if output is not None:
+        presets.check_folder(output)
     console = people()
     with console.status("fetching the recordings of the leg"):
         files = recordings.fetch(output)

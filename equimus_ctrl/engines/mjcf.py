@@ -430,6 +430,7 @@ def command_at(trial: Trial, times: Array) -> Array:
     return trial.command_at(times)
 
 
+@quietly()
 def joint_forces(
     own: Realised, position: Array, velocity: Array, command: Array, moved: tuple[Array, Array] | None = None
 ) -> tuple[Array, Array]:

@@ -17,6 +17,7 @@ from equimus_ctrl.engines.steps import step_divisor
 from equimus_ctrl.engines.trials import Trial
 from equimus_ctrl.errors import ConfigError, ModelError, SimulationDiverged, unknown_name
 from equimus_ctrl.models.model import Model
+from equimus_ctrl.robots.base import Robot
 from equimus_ctrl.types import Array, Recording
 
 MUJOCO_STEP = 1 / 480
@@ -108,6 +109,13 @@ def free_zeros(model: Model, recording: Recording) -> tuple[int, ...]:
             raise ConfigError(f"{recording.name}: note {key} is {text!r}, expected {FREE}")
         found.append(joints.index(name))
     return tuple(sorted(found))
+
+
+def check_notes(robot: Robot, recording: Recording) -> None:
+    """Raise ConfigError where a recording's notes say something of a robot that it does not have."""
+    for prefix in (SET, TIMES):
+        noted(Model(robot), recording, prefix)
+    free_zeros(Model(robot), recording)
 
 
 def measured_start(recording: Recording) -> Array:

@@ -189,6 +189,8 @@ def _mjcf_from_dict(data: Mapping[str, Any], where: str, read_mjcf: Callable[[st
     name = data.get("name", robot.name)
     if not isinstance(name, str):
         raise ConfigError(f"{where}: name is {name!r}, expected a text")
+    if not name.strip():
+        raise ConfigError(f"{where}: name is {name!r}, expected one that can be read, or none")
     return Model(replace(robot, name=name), tuple(_effect(e, where) for e in _tables(data.get("effects", []), where)))
 
 
@@ -223,6 +225,8 @@ def _model_from_dict(data: Mapping[str, Any], where: str) -> Model:
     parameters = _numbers(data.get("parameters", {}), f"{where}: parameters")
     morphology = morphology.with_parameters(parameters)
     if "name" in data:
+        if not str(data["name"]).strip():
+            raise ConfigError(f"{where}: name is {data['name']!r}, expected one that can be read, or none")
         morphology = _build(Morphology, {**_shallow(morphology), "name": data["name"]}, where)
     phase = data.get("phase", "swing")
     if phase not in get_args(Phase):

@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING
 from equimus_ctrl.errors import ConfigError
 from equimus_ctrl.options.fields import (
     NAMES,
-    at_least,
     bounds_option,
+    counted,
     engine_option,
     mapping_option,
     parameters_option,
@@ -72,6 +72,6 @@ class CheckOptions:
 
     def __post_init__(self) -> None:
         """Check the values."""
-        at_least("threads", self.threads, 1)
+        counted("threads", self.threads)
         if not self.budget > 0:
             raise ConfigError(f"the budget is {self.budget:g} s, expected a time above 0")

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from equimus_ctrl.options.fields import NAMES, at_least, set_of, settings_of
+from equimus_ctrl.options.fields import NAMES, at_least, counted, set_of, settings_of
 from equimus_ctrl.options.offers import option
 
 if TYPE_CHECKING:
@@ -63,5 +63,5 @@ class CompareOptions:
 
     def __post_init__(self) -> None:
         """Check the values."""
-        at_least("draws", self.draws, 1)
+        counted("draws", self.draws)
         at_least("seed", self.seed, 0)

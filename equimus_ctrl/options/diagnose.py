@@ -15,6 +15,7 @@ from equimus_ctrl.options.fields import (
     also_option,
     at_least,
     bounds_option,
+    counted,
     engine_option,
     mapping_option,
     parameters_option,
@@ -148,6 +149,6 @@ class DiagnoseOptions:
         if self.splits and (self.validation or self.until is not None):
             said = "validation" if self.validation else "until"
             raise ConfigError(f"splits are drawn at random, and {said} says what is held out; expected one of both")
-        at_least("threads", self.threads, 1)
-        at_least("splits", self.splits, 0)
+        counted("threads", self.threads)
+        counted("splits", self.splits, 0)
         at_least("seed", self.seed, 0)

@@ -146,7 +146,7 @@ def slurm_option() -> Any:
 
 def check_where(workers: int | None, scheduler: str | None, slurm: Path | None) -> None:
     """Raise ConfigError where these do not say in one way where work is done."""
-    at_least("workers", workers, 1)
+    counted("workers", workers)
     given = {"--workers": workers, "--scheduler": scheduler, "--slurm": slurm}
     names = [name for name, value in given.items() if value is not None]
     if len(names) > 1:
@@ -155,7 +155,18 @@ def check_where(workers: int | None, scheduler: str | None, slurm: Path | None) 
         raise ConfigError(f"scheduler is {scheduler!r}, expected an address such as tcp://head:8786")
 
 
+MOST = 1_000_000
+"""Of anything that is counted: robots, trials, processes. Each takes memory before the first is done."""
+
+
 def at_least(name: str, value: float | None, least: float) -> None:
     """Raise ConfigError for a value below the least."""
     if value is not None and value < least:
         raise ConfigError(f"{name} is {value}, expected at least {least}")
+
+
+def counted(name: str, value: int | None, least: int = 1) -> None:
+    """Raise ConfigError for a number of something that is below the least, or more than any computer holds."""
+    at_least(name, value, least)
+    if value is not None and value > MOST:
+        raise ConfigError(f"{name} is {value}, expected at most {MOST:,}")

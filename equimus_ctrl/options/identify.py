@@ -12,8 +12,8 @@ from equimus_ctrl.errors import ConfigError
 from equimus_ctrl.options.fields import (
     NAMES,
     also_option,
-    at_least,
     bounds_option,
+    counted,
     dt_option,
     engine_option,
     mapping_option,
@@ -101,7 +101,7 @@ class IdentifyOptions:
         """Check the values."""
         if self.folds < 0:
             raise ConfigError(f"the cross-validation has {self.folds} folds, expected 0 or more")
-        at_least("threads", self.threads, 1)
+        counted("threads", self.threads)
 
     def given(self, names: Iterable[str]) -> list[str]:
         """Those of some fields that have another value than by default."""

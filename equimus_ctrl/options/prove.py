@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from equimus_ctrl.errors import ConfigError, unknown_name
-from equimus_ctrl.options.fields import at_least, check_where, scheduler_option, slurm_option, workers_option
+from equimus_ctrl.options.fields import at_least, check_where, counted, scheduler_option, slurm_option, workers_option
 from equimus_ctrl.options.offers import option
 
 KINDS = ("none", "single", "pair", "outside", "all_joints", "triple")
@@ -118,9 +118,9 @@ class ProveOptions:
 
     def __post_init__(self) -> None:
         """Check the values."""
-        at_least("cases", self.cases, 1)
+        counted("cases", self.cases)
         at_least("seed", self.seed, 0)
-        at_least("trials", self.trials, 1)
+        counted("trials", self.trials)
         check_where(self.workers, self.scheduler, self.slurm)
         if self.shard is not None and self.merge:
             raise ConfigError("--shard and --merge are given, expected one: what is merged is the whole")

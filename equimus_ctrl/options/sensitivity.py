@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 from equimus_ctrl.options.fields import (
     NAMES,
-    at_least,
+    counted,
     dt_option,
     engine_option,
     mapping_option,
@@ -65,4 +65,4 @@ class SensitivityOptions:
 
     def __post_init__(self) -> None:
         """Check the values."""
-        at_least("threads", self.threads, 1)
+        counted("threads", self.threads)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from equimus_ctrl.options.fields import at_least, threads_option
+from equimus_ctrl.options.fields import at_least, counted, threads_option
 from equimus_ctrl.options.offers import option
 
 
@@ -28,4 +28,4 @@ class ValidateOptions:
     def __post_init__(self) -> None:
         """Check the values."""
         at_least("seed", self.seed, 0)
-        at_least("threads", self.threads, 1)
+        counted("threads", self.threads)

@@ -34,7 +34,7 @@ def whole_ratio(fast: float, slow: float, what: str) -> int:
         ConfigError: where it is not one.
     """
     ratio = fast / slow
-    if ratio < 1 or abs(ratio - round(ratio)) > 1e-9 * ratio:
+    if not 1 <= ratio < float("inf") or abs(ratio - round(ratio)) > 1e-9 * ratio:
         raise ConfigError(f"{what}: {fast:g} Hz is not a whole multiple of {slow:g} Hz")
     return round(ratio)
 
@@ -63,6 +63,9 @@ class PlantRates:
 
 USUAL_CONTROL = 120.0
 """Commands a second where a robot's own physics step allows it [Hz]."""
+
+MOST_NOISE = 1.0
+"""Of a measured position [rad or m]: with more, nothing of an angle is left to be measured."""
 
 
 def rates_of(robot: Robot) -> PlantRates:
@@ -137,8 +140,8 @@ class MujocoPlant:
         events: Sequence[Event] = (),
     ) -> None:
         self.rates = rates or rates_of(model.robot)
-        if not 0 <= noise < float("inf"):
-            raise ConfigError(f"noise is {noise:g} rad, expected 0 or more")
+        if not 0 <= noise <= MOST_NOISE:
+            raise ConfigError(f"noise is {noise:g} rad or m, expected 0 to {MOST_NOISE:g}")
         require_simulated(model.effects, f"{model.name}: the MuJoCo plant")
         self.model = model
         self.noise = noise

@@ -15,6 +15,8 @@ from equimus_ctrl.types import Array, Recording
 
 GAP, GAP_TIME = 100, 2.0
 """So many usual times between rows without one are a gap, if that is so long at least [s]: some write in bursts."""
+LARGEST = 1e10
+"""No quantity of a robot is so large in SI units; MuJoCo takes a state beyond it for one that has diverged."""
 MANY_TURNS = 4.0
 """Of a hinge about zero; it may turn without end, but most that is said to go farther is in degrees."""
 
@@ -129,6 +131,18 @@ def gap_problem(time: Array, row: int) -> str:
 
 def _usual(steps: Array) -> float:
     return float(np.sort(steps)[(len(steps) - 1) // 2])
+
+
+def check_sizes(sheet: Tabular, columns: Sequence[str], values: Array) -> None:
+    """Raise RecordingError for a number (n, k) that nothing of a robot is as large as."""
+    beyond = np.abs(values) > LARGEST
+    if beyond.any():
+        row, k = (int(i) for i in np.argwhere(beyond)[0])
+        raise sheet.error(
+            row,
+            columns[k],
+            f"{number(float(values[row, k]))} is beyond ±{LARGEST:g}; a number in SI units belongs there",
+        )
 
 
 def check_interval(sheet: Tabular, column: str, steps: Array, limits: Limits) -> None:

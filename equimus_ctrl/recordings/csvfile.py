@@ -84,6 +84,7 @@ def from_sheet(sheet: Tabular, limits: Limits) -> Recording:
     checks.check_time(sheet, "time", time, limits)
     checks.check_commands(sheet, names.get("cmd", ()), command, limits)
     checks.check_angles(sheet, joints, names["pos"], position, limits)
+    checks.check_sizes(sheet, columns[1:], values[:, 1:])
     return Recording(
         name=sheet.name,
         time=time,

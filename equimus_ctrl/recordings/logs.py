@@ -238,6 +238,8 @@ def reading(path: Path, what: str) -> Iterator[None]:
         raise
     except FileNotFoundError:
         raise RecordingError(f"{path}: there is no such file") from None
+    except MemoryError:
+        raise RecordingError(f"{path}: is no {what} that can be read (a length in it is larger than memory)") from None
     except Exception as error:
         why = one_line(str(error))[:200] or type(error).__name__
         raise RecordingError(f"{path}: is no {what} that can be read ({why})") from None

@@ -60,11 +60,11 @@ def check_video(path: Path, force: bool = False) -> str:
         ConfigError: where it cannot be written, or something is there already.
     """
     suffix = check_suffix(path)
-    presets.check_file(path)
+    presets.check_place(path)
     without = suffix == ".mp4" and find_ffmpeg() is None
     for film in {path, path.with_suffix(".gif")} if suffix == ".mp4" else {path}:
         outputs.check_new(film, force)
-        presets.check_file(film)
+        presets.check_place(film)
     return f"{WITHOUT_FFMPEG}: {path.with_suffix('.gif')}" if without else ""
 
 

@@ -24,6 +24,8 @@ OPTION = "option."
 """Before an option's name where a joint has that name too."""
 HALF_TURN = 180.0
 """No hinge that turns on is farther from a pose than this [°]."""
+DURATION, LONGEST = "duration", 86_400.0
+"""The option of a scenario that says how long it lasts, and how long that is at most [s]: a day."""
 LOOKED_AT = 20.0
 """How often a reference is looked at before anything runs [Hz]."""
 
@@ -102,8 +104,8 @@ class Scenario(Short):
     site: SitePath | None = None
 
     def __post_init__(self) -> None:
-        if not 0 < self.duration < float("inf"):
-            raise ConfigError(f"scenario {self.name}: duration is {self.duration:g} s, expected more than 0")
+        if problem := duration_problem(self.duration):
+            raise ConfigError(f"scenario {self.name}: {problem}")
         low, high = self.score_window or (0.0, self.duration)
         if self.score_window and min(high, self.duration) - low < 1 / self.score_rate:
             raise ConfigError(
@@ -119,6 +121,11 @@ class Scenario(Short):
                 )
         if self.step_like and self.step_at is None:
             object.__setattr__(self, "step_at", 0.0)
+
+
+def duration_problem(duration: float) -> str:
+    """What is wrong with how long a scenario lasts [s]; empty where nothing is."""
+    return "" if 0 < duration <= LONGEST else f"duration is {duration:g} s, expected more than 0, up to {LONGEST:g}"
 
 
 def build_scenario(
@@ -215,6 +222,8 @@ def _read_option(key: str, text: str, kind: type, where: str) -> Any:
         raise ConfigError(f"{where}: option {key} is {text!r}, expected {kind.__name__}") from None
     if kind is float and math.isnan(value):
         raise ConfigError(f"{where}: option {key} is {text!r}, expected a number")
+    if key.removeprefix(OPTION) == DURATION and kind is float and (problem := duration_problem(value)):
+        raise ConfigError(f"{where}: {problem}")  # a script makes arrays of so many seconds before anybody sees it
     return value
 
 

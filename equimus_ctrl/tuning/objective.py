@@ -62,7 +62,7 @@ class Task:
     control_dt: float
 
 
-def make_task(scenario: Scenario, weight: float, duration: float, model: Model, noise: float, seed: int) -> Task:
+def make_task(scenario: Scenario, weight: float, duration: float | None, model: Model, noise: float, seed: int) -> Task:
     """Sample a scenario's reference and draw its noise."""
     n = round((duration or scenario.duration) * CONTROL_RATE)
     times = np.arange(n) / CONTROL_RATE

@@ -15,14 +15,18 @@ from equimus_ctrl.types import Array
 FORMAT, ON_PLANT = "equimus-ctrl/tuning/1", "equimus-ctrl/plant-tuning/1"
 """Of studies of a PID's gains on the compiled loop of robots with elastic actuators, and of what any controller
 declares on the plant of any robot (``tuning.plant_tuning``)."""
-SHORTEST = 0.1
-"""An objective runs at least this long [s]; there is nothing to judge in less."""
+SHORTEST, LONGEST = 0.1, 3600.0
+"""An objective runs at least and at most this long [s]: there is nothing to judge in less, and each candidate is driven
+for as long on each robot of the ensemble."""
+
+MOST_CANDIDATES, MOST_ROBOTS = 1_000_000, 10_000
+"""All of a study's are kept in memory."""
 
 
 def _check(owner: str, key: str, value: float, low: float, high: float = math.inf) -> None:
-    if not (math.isfinite(value) and low <= value <= high):
+    if not (low <= value <= high and value < math.inf):
         bound = f"at least {low:g}" if math.isinf(high) else f"{low:g} to {high:g}"
-        raise ConfigError(f"{owner}: {key} is {value:g}, expected {bound}")
+        raise ConfigError(f"{owner}: {key} is {value:.6g}, expected {bound}")
 
 
 @dataclass(frozen=True)
@@ -32,17 +36,17 @@ class Objective:
     Attributes:
         scenario: name or path of a scenario script.
         weight: how much it counts.
-        duration: how long it is run [s]; 0 means the scenario's own duration.
+        duration: how long it is run [s]; the scenario's own duration by default.
     """
 
     scenario: str
     weight: float = 1.0
-    duration: float = 0.0
+    duration: float | None = None
 
     def __post_init__(self) -> None:
         _check(f"objective {self.scenario}", "weight", self.weight, 0.0)
-        if self.duration != 0:
-            _check(f"objective {self.scenario}", "duration", self.duration, SHORTEST)
+        if self.duration is not None:
+            _check(f"objective {self.scenario}", "duration", self.duration, SHORTEST, LONGEST)
 
 
 @dataclass(frozen=True)
@@ -139,8 +143,8 @@ class EnsembleSettings:
     corners_count: bool = True
 
     def __post_init__(self) -> None:
-        _check("ensemble", "members", self.members, 1)
-        _check("ensemble", "unseen", self.unseen, 0)
+        _check("ensemble", "members", self.members, 1, MOST_ROBOTS)
+        _check("ensemble", "unseen", self.unseen, 0, MOST_ROBOTS)
         for key in ("stiffness", "area", "damping", "rest_length", "mass", "valve_spread"):
             _check("ensemble", key, getattr(self, key), 0.0, 0.95)
         _check("ensemble", "noise", self.noise, 0.0, 0.1)
@@ -184,7 +188,7 @@ class AnyStudy:
             raise ConfigError("a study needs at least one [[objectives]] table")
         if not sum(o.weight for o in self.objectives) > 0:
             raise ConfigError("a study needs an objective with a weight above 0")
-        _check("study", "candidates", self.candidates, 1)
+        _check("study", "candidates", self.candidates, 1, MOST_CANDIDATES)
         _check("study", "polish", self.polish, 0.0, 0.9)
         _check("study", "seed", self.seed, 0)
 

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from equimus_ctrl import presets
+from equimus_ctrl.engines.predict import check_notes
 from equimus_ctrl.engines.supposed import with_supposed
 from equimus_ctrl.errors import ConfigError, ModelError, unknown_name
 from equimus_ctrl.identification.parameters import default_bounds, default_names, matching, unit_of
@@ -150,6 +151,7 @@ def as_modelled(trial: Recording, robot: Robot) -> Recording:
     Raises:
         ConfigError: where that cannot be made of it.
     """
+    check_notes(robot, trial)
     return with_supposed(with_prescribed(trial, robot), robot)
 
 

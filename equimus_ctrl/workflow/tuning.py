@@ -241,6 +241,7 @@ def tune_into(
     stem = f"{stem}_{presets.plain_name(model.name)}" if posed.own else stem
     results = options.folder or root / "tuning" / "results" / stem
     presets.check_toml(target)
+    presets.check_folder(results)
     header = {"format": "equimus-ctrl/journal/1", "key": posed.key}
     results = _folder(options, results, header)
     record, copy = results / "record.json", results / posed.file

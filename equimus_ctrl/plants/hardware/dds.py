@@ -46,15 +46,25 @@ class _Arriving(Listener):
     def __init__(self) -> None:
         super().__init__()
         self.waiting: deque[tuple[float, int, Any]] = deque(maxlen=KEPT)
+        self.heard = self.malformed = 0
 
     def on_data_available(self, reader: DataReader) -> None:
         """Called by DDS."""
         now = time.monotonic()
-        with contextlib.suppress(DDSException):
-            for sample in reader.take(N=KEPT):
-                info = sample.sample_info
-                if info.valid_data:
-                    self.waiting.append((now, int(info.publication_handle), sample))
+        for _ in range(KEPT):
+            try:
+                found = reader.take(N=1)
+            except DDSException:
+                return
+            except Exception:  # bytes that are no such message, whatever they make of its decoder: that one is lost
+                self.malformed += 1
+                continue
+            if not found:
+                return
+            info = found[0].sample_info
+            if info.valid_data:
+                self.heard += 1
+                self.waiting.append((now, int(info.publication_handle), found[0]))
 
     def take(self) -> list[tuple[float, int, Any]]:
         """All that has arrived."""
@@ -171,6 +181,9 @@ class DdsHost:
             publishers += topic == topic_of(wire.commands) and not own
         if states > 1:
             return f"{wire.states} has {states} publishers, expected one"
+        arriving = self._end._arriving
+        if arriving.malformed and not arriving.heard:
+            return f"{wire.states} carries {arriving.malformed} messages that cannot be decoded as a JointState"
         if publishers:
             return f"{wire.commands} has another publisher, expected this one alone"
         return ""

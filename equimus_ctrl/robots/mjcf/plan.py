@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from dataclasses import field as made
@@ -76,7 +77,9 @@ class Plan:
 
 def _compiled(xml: str, assets: Assets, name: str) -> Any:
     try:
-        return spec_of(xml, assets).compile()
+        with quietly(), warnings.catch_warnings():
+            warnings.filterwarnings("ignore", "Inertia matrix")  # of numbers that are told by ``_check``
+            return spec_of(xml, assets).compile()
     except (ValueError, mujoco.FatalError) as error:
         reason = " ".join(str(error).split())
         raise ModelError(f"{name}: MuJoCo cannot load it ({reason})") from None
@@ -166,27 +169,60 @@ def _check(base: Any, name: str, xml: str) -> None:
         raise ModelError(f"{name}: has a flex or a plugin, which neither engine takes; expected rigid bodies")
     if not SHORTEST <= base.opt.timestep <= LONGEST:
         raise ModelError(f"{name}: timestep is {base.opt.timestep:g} s, expected {SHORTEST:g} to {LONGEST:g} s")
-    if not np.all(np.isfinite(base.opt.gravity)):
-        raise ModelError(f"{name}: gravity is {base.opt.gravity.tolist()}, expected three finite numbers")
-    for prefix, kind, what in _CHECKED:
+    for key in ("gravity", "wind", "density", "viscosity"):
+        value = np.asarray(getattr(base.opt, key))
+        if not np.all(np.abs(value) <= LARGEST):
+            what = "three finite numbers" if value.ndim else "a finite number"
+            raise ModelError(f"{name}: {key} is {value.tolist()}, expected {what} up to {LARGEST:g}")
+    for prefix, kind in _CHECKED.items():
         for field in dir(base):
             values = getattr(base, field) if field.startswith(prefix) and not field.endswith(DERIVED) else None
             if not isinstance(values, np.ndarray) or values.dtype.kind != "f" or not len(values):
                 continue
-            wrong = np.isnan(values.reshape(len(values), -1)).any(axis=1)
+            most = math.inf if field.endswith(ENDLESS) else LARGEST
+            least = 0.0 if field.endswith(NOT_NEGATIVE) else -most
+            wrong = ~((values >= least) & (values <= most))
             if wrong.any():
-                k = int(np.argmax(wrong))
-                owner = getattr(base, kind)(int(base.dof_jntid[k]) if prefix == "dof_" else k).name or f"{what} {k}"
-                raise ModelError(f"{name}: {field.removeprefix(prefix)} of {what} {owner!r} is nan, expected a number")
+                row = int(np.argmax(wrong.reshape(len(values), -1).any(axis=1)))
+                found = float(values[row][wrong[row]].flat[0])
+                whose = f"{field.removeprefix(f'{prefix}_')} of {kind} {_owner(base, prefix, kind, row)!r}"
+                span = "" if math.isnan(found) else f" from {least:g} to {most:g}"
+                raise ModelError(f"{name}: {whose} is {found:g}, expected a number{span}")
+    for prefix, field in _DIRECTIONS:
+        sizes = np.linalg.norm(getattr(base, f"{prefix}_{field}"), axis=1)
+        for row in np.flatnonzero(~(np.abs(sizes - 1) < ROUNDED)).tolist():
+            owner = _owner(base, prefix, _CHECKED[prefix], row)
+            raise ModelError(
+                f"{name}: {field} of {_CHECKED[prefix]} {owner!r} cannot be normalised, expected numbers of usual size"
+            )
 
 
-DERIVED = ("invweight0", "M0", "length0", "acc0", "lengthrange", "subtreemass")
-"""What MuJoCo works out of other parameters, which are listed in their place."""
-_CHECKED = (
-    ("jnt_", "joint", "joint"), ("dof_", "joint", "joint"), ("body_", "body", "body"), ("site_", "site", "site"),
-    ("tendon_", "tendon", "tendon"), ("actuator_gainprm", "actuator", "actuator"),
-    ("actuator_biasprm", "actuator", "actuator"), ("actuator_forcerange", "actuator", "actuator"),
-)  # fmt: skip
+LARGEST = float(mujoco.mjMAXVAL)
+"""MuJoCo takes a state beyond it for one that has diverged; no number of a robot's is so large."""
+ENDLESS = ("range", "limited", "springyield", "user")
+"""What may be without end."""
+ROUNDED = 1e-6
+"""By so much the length of what MuJoCo has normalised may differ from 1."""
+_DIRECTIONS = (("jnt", "axis"), ("body", "quat"), ("body", "iquat"), ("site", "quat"))
+NOT_NEGATIVE = ("frictionloss", "armature")
+"""What MuJoCo takes below 0, where it means nothing or no robot."""
+DERIVED = ("invweight0", "M0", "length0", "acc0", "lengthrange", "subtreemass", "rgba", "rbound", "aabb")
+"""What MuJoCo works out of other parameters, which are listed in their place, or is only seen."""
+_CHECKED = {
+    "jnt": "joint", "dof": "joint", "qpos": "joint", "body": "body", "site": "site", "geom": "geom",
+    "tendon": "tendon", "actuator": "actuator", "eq": "equality", "key": "keyframe",
+}  # fmt: skip
+"""What MuJoCo's fields of numbers begin with → whose they are."""
+
+
+def _owner(base: Any, prefix: str, kind: str, row: int) -> str:
+    """The name of whose number it is; its place in the file where it has none."""
+    if prefix == "dof":
+        row = int(base.dof_jntid[row])
+    elif prefix == "qpos":
+        row = int(np.searchsorted(base.jnt_qposadr, row, side="right")) - 1
+    name: str = getattr(base, kind)(row).name
+    return name or f"{kind} {row}"
 
 
 def _joints(base: Any, name: str) -> tuple[Axis, ...]:
