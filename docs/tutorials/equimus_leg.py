@@ -25,7 +25,6 @@ import numpy as np
 
 import equimus_ctrl as eq
 from equimus_ctrl.recordings.locate import leg_file
-from equimus_ctrl.report.diagnosis_figures import diagnosis_figures
 from equimus_ctrl.report.diagnosis_sentences import sentence
 
 leg = eq.nominal_model()
@@ -41,7 +40,7 @@ for actuator in leg.robot.actuators:
 # %%
 folder = Path(tempfile.mkdtemp())
 eq.run_scenario("chirp", record=folder / "sweep.csv", options={"duration": "8"})
-print("RMSE of hip and knee [rad]:", eq.score_recordings(folder / "sweep.csv").rmse)
+print("RMSE of hip and knee [rad]:", eq.score(folder / "sweep.csv").rmse)
 
 # %% [markdown]
 # ## Beside the real leg
@@ -88,13 +87,13 @@ eq.run_scenario(
     record=folder / "unknown.csv",
     options={"duration": "12"},
 )
-found = eq.diagnose_recordings(folder / "unknown.csv", threads=1)
+found = eq.diagnose(folder / "unknown.csv", threads=1)
 print("verdict:", found.verdict)
 for finding in found.findings:
     print(sentence(finding, found.model))
 
 # %%
-diagnosis_figures(found)["summary"]
+eq.figure(found, "summary")
 
 # %% [markdown]
 # ## Drive with the augmented model

@@ -26,7 +26,6 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import equimus_ctrl as eq
-from equimus_ctrl.report.diagnosis_figures import diagnosis_figures
 from equimus_ctrl.report.diagnosis_sentences import sentence
 from equimus_ctrl.report.diagnosis_text import headline
 
@@ -63,7 +62,7 @@ checked.figure()
 # `score` predicts each recording from its own start, and compares.
 
 # %%
-before = eq.score_recordings(recordings, model)
+before = eq.score(recordings, model)
 print("RMSE of the initial model [rad]:", np.round(before.rmse, 4))
 
 # %% [markdown]
@@ -73,13 +72,13 @@ print("RMSE of the initial model [rad]:", np.round(before.rmse, 4))
 # effects that explain what is left, and accepts one only where it improves predictions of a held-out recording.
 
 # %%
-found = eq.diagnose_recordings(recordings, model, threads=1)
+found = eq.diagnose(recordings, model, threads=1)
 print(headline(found))
 for finding in found.findings:
     print(sentence(finding, model))
 
 # %%
-figures = diagnosis_figures(found)
+figures = eq.figures(found)
 figures["summary"]
 
 # %%
@@ -93,7 +92,7 @@ figures["finding_1"]
 # %%
 eq.save_model(folder / "augmented.toml", found.corrected)
 print((folder / "augmented.toml").read_text())
-after = eq.score_recordings(recordings, eq.load_model(folder / "augmented.toml"))
+after = eq.score(recordings, eq.load_model(folder / "augmented.toml"))
 print(
     "RMSE [rad]: initial",
     np.round(before.rmse, 4),

@@ -26,7 +26,6 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import equimus_ctrl as eq
-from equimus_ctrl import workflow
 
 folder = Path(tempfile.mkdtemp())
 (folder / "arm.xml").write_text("""
@@ -100,7 +99,7 @@ shown({"placed gains": placed}, "A PID whose gains nobody has tuned")
 
 # %%
 where = {"folder": folder / "tuning", "output": folder / "pid.toml"}
-tuned = workflow.autotune(
+tuned = eq.tune(
     "pid", model=arm, scenarios=["track"], candidates=8, seed=7, workers=1, **where
 )
 for what, first, best in tuned.result.found()[2]:

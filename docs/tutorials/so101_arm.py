@@ -67,7 +67,7 @@ if so101 is not None:
 
 # %%
 if so101 is not None:
-    found = eq.diagnose_recordings(
+    found = eq.diagnose(
         trials,
         model,
         validation=["velocity_ramp"],
