@@ -173,9 +173,12 @@ def export_recordings(
     if not ros2 and path.suffix.lower() not in SUFFIXES:
         raise ConfigError(f"{path}: expected a name that ends in {' or '.join(SUFFIXES)}")
     layouts = [path.with_suffix(suffix) for suffix in LAYOUTS] if path.suffix.lower() == ".mcap" and not ros2 else []
-    for file in (path, *layouts):
-        outputs.check_new(file, force and not ros2)
-    presets.check_folder(path.parent)
+    if ros2:
+        outputs.check_free(path)
+        presets.check_folder(path)
+    else:
+        for file in (path, *layouts):
+            outputs.check_new(file, force)
     if not ros2:  # what is missing is told before the work
         (mcap_library if layouts else rerun_library)()
     model = model or nominal_model()
