@@ -141,7 +141,13 @@ def check_new(path: Path, force: bool = False) -> None:
     What is there and is no file, such as a folder or a device, is never replaced.
     """
     presets.check_place(path)
-    if os.path.lexists(path) and not force:
+    if not force:
+        check_free(path)
+
+
+def check_free(path: Path) -> None:
+    """Raise ConfigError where something is there already."""
+    if os.path.lexists(path):
         raise ConfigError(f"{path}: is there already; expected another name, or --force to replace it")
 
 

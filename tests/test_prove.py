@@ -19,7 +19,7 @@ from equimus_ctrl.proof import blind, fingerprint
 from equimus_ctrl.proof.seal import seal_of_all
 from equimus_ctrl.proof.shares import Share
 from equimus_ctrl.proof.store import Made, Request
-from equimus_ctrl.workflow import prove as workflow
+from equimus_ctrl.workflow import proofs as workflow
 from equimus_ctrl.workflow.proofs import prove
 
 # --- fingerprints

@@ -34,7 +34,7 @@ from equimus_ctrl.recordings.folders import write_folder
 from equimus_ctrl.recordings.sets import read_set
 from equimus_ctrl.robots.elastic.leg import nominal_leg
 from equimus_ctrl.types import Recording
-from equimus_ctrl.workflow import prove as workflow
+from equimus_ctrl.workflow import proofs as workflow
 
 # --- a case of its own: what a worker does, and the baselines
 

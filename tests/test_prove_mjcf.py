@@ -267,7 +267,7 @@ def test_robots_that_run_away_without_their_controller_are_told(
         return [replace(r, position=scale * r.position) for r in pendulum.recordings]
 
     monkeypatch.setattr("equimus_ctrl.workflow.proofs.recorded", recorded)
-    said = far_beyond(Request.of_mjcf(tmp_path, 1, None, pendulum), len(times))
+    said = far_beyond(Request.of_mjcf(tmp_path, 1, None, pendulum), range(len(times)))
     assert len(said) == (far > 0)
     assert not far or said[0].startswith(f"{far} of 4 robots moved more than 3 times as far")
 

@@ -18,7 +18,7 @@ from equimus_ctrl.errors import ConfigError
 from equimus_ctrl.executors.versions import OtherProcessor, processor, versions
 from equimus_ctrl.options import ProveOptions, Shard
 from equimus_ctrl.proof import blind
-from equimus_ctrl.workflow import prove_shards
+from equimus_ctrl.workflow import proof_shards
 from equimus_ctrl.workflow.proofs import prove
 
 
@@ -233,5 +233,5 @@ def test_jobs_give_the_same_to_the_byte(
 
 def test_what_a_shard_says_of_itself(shards: Shards) -> None:
     record = json.loads((shards.folders[1] / "shards" / "2_of_2.json").read_text())
-    assert record["schema"] == prove_shards.SCHEMA and (record["shard"], record["of"], record["cases"]) == (2, 2, 2)
+    assert record["schema"] == proof_shards.SCHEMA and (record["shard"], record["of"], record["cases"]) == (2, 2, 2)
     assert record["fingerprint"] == blind.report_fingerprint() and record["versions"] == versions()

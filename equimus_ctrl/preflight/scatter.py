@@ -173,7 +173,7 @@ def whiteness(x: Array) -> float:
     """Probability that white noise (n,) has a spectrum as uneven as x has, by Bartlett's test (1955).
 
     The periodogram of white noise, summed from low to high frequencies and divided by the whole sum, is the empirical
-    distribution of uniform numbers: how far it strays from a straight line has Kolmogorov's distribution.
+    distribution of uniform numbers: how far it is from a straight line has Kolmogorov's distribution.
     """
     power = np.abs(np.fft.rfft(x - x.mean())[1 : (len(x) + 1) // 2]) ** 2
     count = len(power) - 1

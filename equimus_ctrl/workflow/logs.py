@@ -289,9 +289,13 @@ def export_recordings(
         raise ConfigError(
             f"{path}: is there already, and --force replaces no folder of bags; expected another name, or take it away"
         )
-    for file in (path, *layouts):
-        outputs.check_new(file, force)
-    presets.check_folder(path.parent)
+    if ros2:
+        outputs.check_free(path)
+        presets.check_folder(path)
+    else:
+        for file in (path, *layouts):
+            outputs.check_new(file, force)
+        presets.check_folder(path.parent)
     if not ros2:  # what is missing is told before the work
         (mcap_library if layouts else rerun_library)()
     model = model or nominal_model()

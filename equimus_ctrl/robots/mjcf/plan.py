@@ -105,7 +105,7 @@ def plan_of(name: str, xml: str, assets: Assets) -> Plan:
         ModelError: where MuJoCo cannot load it, or it is no robot of hinges and slides.
     """
     base = _compiled(xml, assets, name)
-    _check(base, name, xml)
+    _check(base, name, xml, math.inf if assets.prescribed else LARGEST)
     every = _joints(base, name)
     motors = [base.actuator(k).name for k in range(base.nactuator)] if assets.prescribed else []
     moved = sorted((j for j in every if motor_of(j.name) in motors), key=lambda j: motors.index(motor_of(j.name)))
@@ -157,8 +157,15 @@ SHORTEST, LONGEST = 1e-6, 0.1
 ELEMENTS = ("flexcomp", "flex", "composite", "plugin")
 
 
-def _check(base: Any, name: str, xml: str) -> None:
-    """Raise ModelError for what neither engine takes, or values that are not finite."""
+def _check(base: Any, name: str, xml: str, largest: float) -> None:
+    """Raise ModelError for what neither engine takes, or values that cannot be.
+
+    Args:
+        base: MuJoCo's model.
+        name: of the robot.
+        xml: of it.
+        largest: size of a number; what moves prescribed joints is as stiff as it has to be.
+    """
     if base.nflex or base.nplugin:
         for number, line in enumerate(xml.splitlines(), 1):
             if (element := next((e for e in ELEMENTS if f"<{e}" in line), None)) is not None:
@@ -179,7 +186,7 @@ def _check(base: Any, name: str, xml: str) -> None:
             values = getattr(base, field) if field.startswith(prefix) and not field.endswith(DERIVED) else None
             if not isinstance(values, np.ndarray) or values.dtype.kind != "f" or not len(values):
                 continue
-            most = math.inf if field.endswith(ENDLESS) else LARGEST
+            most = math.inf if field.endswith(ENDLESS) else largest
             least = 0.0 if field.endswith(NOT_NEGATIVE) else -most
             wrong = ~((values >= least) & (values <= most))
             if wrong.any():
