@@ -14,6 +14,7 @@ from hypothesis.extra import numpy as hnp
 
 from equimus_ctrl.errors import RecordingError
 from equimus_ctrl.recordings import Limits, read, write
+from equimus_ctrl.recordings.checks import LARGEST
 from equimus_ctrl.types import Recording
 
 ANY = Limits(command_low=-np.inf, command_high=np.inf, max_angle=np.inf, max_interval=np.inf, joints=(), actuators=())
@@ -40,7 +41,7 @@ def simple(**changes: object) -> Recording:
     return Recording(**(fields | changes))  # type: ignore[arg-type]
 
 
-finite = st.floats(allow_nan=False, allow_infinity=False)
+finite = st.floats(-LARGEST, LARGEST)
 names = st.text(st.characters(codec="utf-8", exclude_characters=",=", exclude_categories=["C", "Z"]), min_size=1)
 note_keys = names.filter(lambda key: not key.startswith("before"))
 
