@@ -29,6 +29,7 @@ TRIAL = "time,cmd.maa,cmd.baa,pos.hip,pos.knee\n" + "".join(f"{k / 60},12000,600
         ((*RUN, "--set", "hip=1e308"), "outside the joint's range of 30.0° to 150.0°"),
         ((*RUN, "--noise", "1e6"), "noise is 1e+06 rad or m, expected 0 to 1"),
         (("autotune-pid", "--seed", "-1"), "seed is -1, expected at least 0"),
+        (("autotune-pid", "--candidates", "1" + "0" * 400), "study: candidates is 1000"),
         (("compare", "hold", "--draws", "2000000"), "draws is 2000000, expected at most 1,000,000"),
         (("prove", "--cases", "18446744073709551616"), "cases is 18446744073709551616, expected at most 1,000,000"),
         (("prove", "--workers", "99999999"), "workers is 99999999, expected at most 1,000,000"),

@@ -26,7 +26,8 @@ MOST_CANDIDATES, MOST_ROBOTS = 1_000_000, 10_000
 def _check(owner: str, key: str, value: float, low: float, high: float = math.inf) -> None:
     if not (low <= value <= high and value < math.inf):
         bound = f"at least {low:g}" if math.isinf(high) else f"{low:g} to {high:g}"
-        raise ConfigError(f"{owner}: {key} is {value:.6g}, expected {bound}")
+        shown = value if isinstance(value, int) else f"{value:g}"
+        raise ConfigError(f"{owner}: {key} is {shown}, expected {bound}")
 
 
 @dataclass(frozen=True)
