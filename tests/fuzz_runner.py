@@ -32,9 +32,8 @@ from equimus_ctrl.errors import NotAvailable
 from equimus_ctrl.executors.where import Where
 from equimus_ctrl.plants.hardware import transports
 from equimus_ctrl.recordings import download
-from equimus_ctrl.workflow import diagnose as diagnosis
-from equimus_ctrl.workflow import plugins
-from equimus_ctrl.workflow import validate as validation
+from equimus_ctrl.validation import validate as validation
+from equimus_ctrl.workflow import diagnoses, plugins
 
 SECONDS, WALL = 15, 120
 """Of processor time that a case may take, and by the clock."""
@@ -56,8 +55,9 @@ def stopped(*_: Any, **__: Any) -> Any:
 def seal() -> None:
     """No processes, no network and no robot."""
     Where.opened = Where.shared = stopped  # type: ignore[method-assign]
-    validation.validate = diagnosis.diagnose_within = stopped
-    download._tree = stopped
+    for module, name in ((validation, "validate"), (diagnoses, "diagnose_within"), (download, "_tree")):
+        assert callable(getattr(module, name))  # else another is called
+        setattr(module, name, stopped)
     transports.TRANSPORTS["dds"] = transports.TransportEntry("none in here", stopped, stopped)
 
 
