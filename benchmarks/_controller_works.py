@@ -19,7 +19,7 @@ from equimus_ctrl.executors.where import Where
 from equimus_ctrl.models.spread import groups, latin_hypercube, perturbed
 from equimus_ctrl.robots.mjcf.editing import Edits
 from equimus_ctrl.tuning.autotune import NothingFeasible
-from equimus_ctrl.tuning.journal import RowJournal
+from equimus_ctrl.tuning.journal import Memory, RowJournal
 from equimus_ctrl.tuning.plant_tuning import make_plant_problem, tune_on_plant
 from equimus_ctrl.tuning.study import study_from_dict
 from equimus_ctrl.workflow import load_model, load_scenario
@@ -274,19 +274,6 @@ FEEDS: Mapping[str, dict[str, bool]] = {
     "pid inverse": {"feedforward": True, "inverse": True},
 }
 """What the tuned PID feeds forward: nothing, what holds the reference at rest, its whole motion."""
-
-
-class Memory:
-    """Evaluations of a tuning, kept as long as it lasts."""
-
-    def __init__(self) -> None:
-        self.rows: list[dict[str, Any]] = []
-
-    def append(self, row: Mapping[str, Any]) -> None:
-        self.rows.append(dict(row))
-
-    def truncate(self, count: int) -> None:
-        del self.rows[count:]
 
 
 def tuned(

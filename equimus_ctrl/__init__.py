@@ -2,7 +2,7 @@
 
 Ten things to begin with (``import equimus_ctrl as eq``):
 
->>> model = eq.load_model("docs/examples/pendulum.xml")  # the EquiMus leg without a name; any MJCF, URDF or model file
+>>> model = eq.load_model("docs/examples/pendulum.xml")  # the EquiMus leg by default; any MJCF, URDF or model file
 >>> trials = eq.read_recordings("docs/examples/pendulum", model)  # CSV, bags, MCAP, LeRobot, npz
 >>> eq.check(trials, model, quick=True)  # what they are like, and what they could show
 <Check of 4 recordings with pendulum: ...>

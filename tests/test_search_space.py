@@ -20,7 +20,7 @@ from equimus_ctrl.controllers.search_space import Narrowing, Range, SearchSpace,
 from equimus_ctrl.models.model import Model, nominal_model
 from equimus_ctrl.plants.mujoco_plant import MujocoPlant
 from equimus_ctrl.robots.mjcf.robot import MjcfRobot
-from equimus_ctrl.tuning.journal import RowJournal
+from equimus_ctrl.tuning.journal import Memory, RowJournal
 from equimus_ctrl.tuning.objective import Evaluation
 from equimus_ctrl.tuning.search import Search
 from equimus_ctrl.tuning.study import PlantStudy, study_from_dict
@@ -149,17 +149,6 @@ def test_what_the_packages_controllers_declare_begins_with_what_they_do_untuned(
         untuned = {key: value for key, value in space.first.items() if key != "bandwidth"}
         made = space.settings(start)
         assert {key: made[key] for key in untuned} == untuned
-
-
-class Memory:
-    def __init__(self) -> None:
-        self.rows: list[dict[str, Any]] = []
-
-    def append(self, row: Any) -> None:
-        self.rows.append(dict(row))
-
-    def truncate(self, count: int) -> None:
-        del self.rows[count:]
 
 
 def searched(ranges: list[Range], budget: int, cost: Callable[[Any], float], polish: float = 0.3) -> Search:

@@ -50,3 +50,18 @@ class RowJournal:
     def add(self, index: int, stage: str, values: Sequence[float], evaluation: Evaluation) -> None:
         """Keep one more."""
         self._store.append({"index": index, "stage": stage, "values": list(values), "evaluation": evaluation.to_dict()})
+
+
+class Memory:
+    """Rows that are kept nowhere else, as long as a tuning lasts."""
+
+    def __init__(self) -> None:
+        self.rows: list[dict[str, Any]] = []
+
+    def append(self, row: Mapping[str, Any]) -> None:
+        """Add a row."""
+        self.rows.append(dict(row))
+
+    def truncate(self, count: int) -> None:
+        """Drop all rows from number ``count`` on."""
+        del self.rows[count:]

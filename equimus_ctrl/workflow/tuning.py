@@ -142,21 +142,6 @@ class _Posed:
     own: str | None
 
 
-class _Memory:
-    """Rows that are kept nowhere else."""
-
-    def __init__(self) -> None:
-        self.rows: list[dict[str, Any]] = []
-
-    def append(self, row: Mapping[str, Any]) -> None:
-        """Add a row."""
-        self.rows.append(dict(row))
-
-    def truncate(self, count: int) -> None:
-        """Drop all rows from number ``count`` on."""
-        del self.rows[count:]
-
-
 def tune(
     controller: str,
     study: Path | str | None = None,
@@ -198,7 +183,7 @@ def tune(
     posed = _posed(controller, path, model, options)
     begin(posed.study.candidates)
     where = where_of(options.workers, options.scheduler, options.slurm)
-    memory = journal.RowJournal(_Memory())
+    memory = journal.RowJournal(journal.Memory())
     result = posed.search(posed.study, posed.problem, memory, notify, where, options.budget, stage=stage)
     found = Tuned(controller, result, 0)
     if options.output is not None:
