@@ -103,6 +103,17 @@ def catalogue() -> Iterator[None]:
         known.update(held)
 
 
+@pytest.fixture
+def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Pages have empty figures: for tests of what they say."""
+    from matplotlib.figure import Figure
+
+    from equimus_ctrl.report import diagnosis_page, style
+
+    monkeypatch.setattr(style, "drawn", lambda drawings: {name: Figure() for name in drawings})
+    monkeypatch.setattr(diagnosis_page, "summary_figure", lambda *args, **options: Figure())
+
+
 @pytest.fixture(scope="session")
 def wrong_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder with something wrong of every kind; whoever writes into it is found out."""

@@ -29,7 +29,7 @@ def said(trials: list[Recording], model: Model = MODEL, **options: Any) -> list[
 
 def test_what_the_physics_step_does_is_not_called_physics() -> None:
     """The model that made the recordings, with 20 times the step that made them, beside noise of 10 µrad."""
-    trials = recorded(MODEL, seed=3, noise=1e-5)
+    trials = recorded(MODEL, seed=3, noise=1e-5, count=1, seconds=2.0)
     (text,) = said(trials, engine="mujoco", free=FREE)
     assert "physics is missing, or the physics step of 2 ms is too long (--dt), and these" in text
     assert not said(trials, engine="mujoco", free=FREE, dt=1e-4)
@@ -39,14 +39,15 @@ def test_what_the_physics_step_does_is_not_called_physics() -> None:
 def test_physics_that_is_missing_is_said_to_be_beside_a_smaller_error_of_the_step() -> None:
     rough = Model(MODEL.robot, (CoulombFriction("hinge", 0.2),))
     for noise in (1e-5, 5e-4):
-        (text,) = said(recorded(rough, seed=3, noise=noise), engine="mujoco", free=FREE)
+        (text,) = said(recorded(rough, seed=3, noise=noise, count=1, seconds=2.0), engine="mujoco", free=FREE)
         assert "physics is missing, and these" in text and "step" not in text
 
 
 def test_the_error_of_the_step_is_what_a_finer_one_changes() -> None:
-    trials = recorded(MODEL, seed=3, noise=0.0, dt=None)
+    once: dict[str, Any] = {"seed": 3, "noise": 0.0, "count": 1, "seconds": 2.0}
+    trials = recorded(MODEL, dt=None, **once)
     found = identify_recordings(trials, MODEL, engine="mujoco", free=FREE).fit
-    finely = np.concatenate([r.position for r in recorded(MODEL, seed=3, noise=0.0)])
+    finely = np.concatenate([r.position for r in recorded(MODEL, **once)])
     apart = np.sqrt(np.mean((finely - np.concatenate([r.position for r in trials])) ** 2))
     assert step_error(found)[0] == pytest.approx(apart, rel=0.1)
     assert step_error(identify_recordings(trials, MODEL, engine="reduced", free=FREE).fit).tolist() == [0.0]

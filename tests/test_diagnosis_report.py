@@ -25,6 +25,7 @@ from equimus_ctrl.report.diagnosis_words import estimate_text
 # Figures and page
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_what_was_rejected_is_told_with_its_reason_and_stage(diagnosis: Diagnosis) -> None:
     (own,) = diagnosis.rejected
     (line,) = diagnosis_text.rejected(diagnosis)
@@ -149,6 +150,7 @@ def test_the_page_is_whole_and_needs_nothing_else(diagnosis: Diagnosis) -> None:
     assert "maa.damping ended at a bound & more." in said
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_a_consistent_page_tells_what_would_have_shown(diagnosis: Diagnosis) -> None:
     said = " ".join(checked(page(consistent(diagnosis), "Leg")).text)
     assert "Consistent" in said
@@ -200,6 +202,7 @@ def test_the_fall_on_held_out_trials_is_that_of_the_rmse(diagnosis: Diagnosis) -
     assert f"−{change} % at the knee" in diagnosis_text.headline(diagnosis)
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_candidates_without_a_gain_are_folded_away(diagnosis: Diagnosis) -> None:
     """None is lost: each stands in the table or under the fold, and what was found is never folded."""
     text = page(diagnosis, "leg")
@@ -217,6 +220,7 @@ def test_candidates_without_a_gain_are_folded_away(diagnosis: Diagnosis) -> None
     assert f"<summary>{len(nothing)} candidates, the gain of all of them below" in all_folded
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_what_to_do_next_names_commands_with_the_files_at_hand(diagnosis: Diagnosis) -> None:
     given = "equimus-ctrl diagnose runs --model 'my robot.toml' --write-model=found.toml"
     steps = dict(next_steps(diagnosis, given))

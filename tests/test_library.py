@@ -72,6 +72,7 @@ assert not wrong, wrong
 """
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("first", [True, False], ids=["names first", "modules first"])
 def test_a_function_stays_one_whatever_is_imported(first: bool) -> None:
     """A module of the same name would hide it once somebody imports that."""

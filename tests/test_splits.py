@@ -164,6 +164,7 @@ def test_where_groups_differ_each_has_an_effect_of_its_own(diagnosis: Diagnosis)
     assert set(answer_of(0, d, 2.0).named) == {(finding.named.effect, f"{place} in A")}
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_it_is_told_on_the_terminal_and_on_the_page(diagnosis: Diagnosis) -> None:
     (finding,) = diagnosis.findings
     effect, place = finding.named.effect, finding.named.locations[0]
