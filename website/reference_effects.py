@@ -42,7 +42,7 @@ def page(proofs: Path) -> str:
         "The laws that `diagnose` looks for and `--effect` attaches, made from the classes when this site was built. "
         "The sentence is what a report says, with parameters in the place of their estimates; "
         "`x` is the joint's position or the actuator's length, `rate` its derivative. The physics behind "
-        "them: [the two models](../physics.md#effects), [MJCF robots](../machines.md#effects). Your own: "
+        "them: [the two models](../physics.md#effects), [MJCF robots](../machines_effects.md). Your own: "
         "[adding an effect](../project/CONTRIBUTING.md#an-effect).",
         "*Taken for* adds up what diagnoses answered where this effect was all that was missing and had an excess "
         f"residual variance of 0.3 or more, in {sets} sets of [blinded robots](../proof.md). "

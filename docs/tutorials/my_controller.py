@@ -169,5 +169,6 @@ for entry in found.entries:
 # equimus-ctrl compare triangle -c mine.py:Spring -c pid
 # ```
 #
-# Where to go from here: observers and velocities ([control](../control.md)), a controller with settings that
+# Where to go from here: observers ([the control laws](../control_laws.md#the-observer)), velocities
+# ([control](../control.md#a-controller-that-senses-more)), a controller with settings that
 # `autotune` can search ([extending](../../CONTRIBUTING.md#a-controller)).
