@@ -10,7 +10,7 @@ from functools import cache
 import effect_laws
 import matplotlib
 import numpy as np
-from effect_laws import Law
+from effect_law import Law, thinned
 from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
 
@@ -46,7 +46,7 @@ def figure(law: Law) -> Figure:
     drawn.patch.set_alpha(0.0)
     axes = drawn.add_axes(PLACE)
     axes.patch.set_alpha(0.0)
-    found = effect_laws.thinned(law)
+    found = thinned(law)
     across = reading(found.x_unit, float(np.abs(found.x).max()))
     up = reading(found.y_unit, float(np.abs([found.values, found.without]).max()))
     x = found.x * across.factor
