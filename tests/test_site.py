@@ -8,6 +8,7 @@ import sys
 from pathlib import Path
 from types import ModuleType
 
+import numpy as np
 import pytest
 import yaml
 from markdown_it import MarkdownIt
@@ -153,9 +154,24 @@ def test_the_page_of_effects_has_every_effect_with_its_sentence_and_confusions()
     assert set(entries) == set(REGISTRY)
     for name, cls in REGISTRY.items():
         assert "**Law**" in entries[name] and "**A report says**" in entries[name], name
+        assert re.search(rf"!\[[^\]]+\]\(effects/{name}\.svg\)", entries[name]), name
         for key in cls.parameter_info():
             assert f"| `{key}` |" in entries[name], (name, key)
     assert re.search(r"named in \d+ of \d+; .*`supply_coupling` 1", entries["dead_zone"])
+
+
+def test_each_effect_has_a_figure_of_its_law_that_is_not_flat() -> None:
+    figures = tool("effect_figures").figures()
+    assert set(figures) == {f"effects/{name}.svg" for name in REGISTRY}
+    assert all(drawn.startswith("<?xml") for drawn in figures.values())
+    curves = set()
+    for name, law in tool("effect_figures").laws().items():
+        both = np.concatenate([law.values, law.without])
+        assert np.isfinite(both).all() and len(law.x) == len(law.values) == len(law.without), name
+        assert np.ptp(both) > 0.1 * np.abs(both).max(), name
+        assert law.strength > 0.01 * np.abs(both).max(), name  # with the effect it is another curve
+        curves.add((law.x_axis, law.y_axis, law.values.tobytes()))
+    assert len(curves) == len(REGISTRY)  # two effects whose figures are the same are not shown
 
 
 def test_the_page_of_python_names_all_that_is_offered() -> None:

@@ -1,9 +1,10 @@
-"""Reference pages made from the code: commands, Python, effects, thresholds."""
+"""Reference pages made from the code: commands, Python, effects with their figures, thresholds."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
+import effect_figures
 import reference_commands
 import reference_effects
 import reference_python
@@ -11,7 +12,7 @@ import reference_thresholds
 
 
 def pages(root: Path) -> dict[str, str]:
-    """Path on the site → Markdown.
+    """Path on the site → Markdown, or SVG of a figure.
 
     Args:
         root: of the checkout.
@@ -21,4 +22,5 @@ def pages(root: Path) -> dict[str, str]:
         "reference/effects.md": reference_effects.page(root / "docs" / "proof"),
         "reference/python.md": reference_python.page(root / "equimus_ctrl" / "__init__.pyi"),
         "reference/thresholds.md": reference_thresholds.page(),
+        **{f"reference/{path}": drawn for path, drawn in effect_figures.figures().items()},
     }

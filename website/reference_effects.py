@@ -1,4 +1,4 @@
-"""The page of effects, from their registry: place, law, sentence, parameters, and what proofs confused each with."""
+"""The page of effects, from their registry: place, law, figure, sentence, parameters, what each was confused with."""
 
 from __future__ import annotations
 
@@ -6,28 +6,19 @@ import json
 from collections import Counter, defaultdict
 from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import cache
 from pathlib import Path
 from typing import Any
 
+import effect_figures
+import effect_laws
+
 from equimus_ctrl.effects import REGISTRY, Effect
-from equimus_ctrl.models.model import nominal_model
-from equimus_ctrl.robots.base import Robot
-from equimus_ctrl.robots.mjcf.robot import MjcfRobot
 
 SIDES = {
     "command": "Commands and valves",
     "force": "Forces at joints, actuators and bodies",
     "measurement": "Sensors",
 }
-ARM = """
-<mujoco><option gravity="0 0 0"/><worldbody><body name="upper"><joint name="shoulder" axis="0 1 0"/>
-<geom type="capsule" fromto="0 0 0 0 0 -0.3" size="0.02"/><site name="tip" pos="0 0 -0.3"/>
-<body name="fore" pos="0 0 -0.3">
-<joint name="elbow" axis="0 1 0"/><geom type="capsule" fromto="0 0 0 0 0 -0.3" size="0.02"/></body></body></worldbody>
-<actuator><motor name="shoulder_motor" joint="shoulder"/><motor name="elbow_motor" joint="elbow"/></actuator></mujoco>
-"""
-"""A robot of which sentences on effects of MJCF robots can speak."""
 
 
 def page(proofs: Path) -> str:
@@ -44,6 +35,9 @@ def page(proofs: Path) -> str:
         "`x` is the joint's position or the actuator's length, `rate` its derivative. The physics behind "
         "them: [the two models](../physics.md#effects), [MJCF robots](../machines_effects.md). Your own: "
         "[adding an effect](../project/CONTRIBUTING.md#an-effect).",
+        "Each figure is computed from the effect's class, with parameters from which a search for it may begin: a law "
+        "without memory over its argument, one with a memory over time or along a motion. Forces count positive where "
+        "they would increase the coordinate.",
         "*Taken for* adds up what diagnoses answered where this effect was all that was missing and had an excess "
         f"residual variance of 0.3 or more, in {sets} sets of [blinded robots](../proof.md). "
         "A fraction is an effect named beside others. No line means that none of these sets had it so.",
@@ -86,6 +80,7 @@ def _robots(cls: type[Effect]) -> str:
 def _entry(cls: type[Effect], answered: Counter[str]) -> list[str]:
     law = " ".join((cls.__doc__ or "").partition("\n\n")[0].split()).replace("``", "`")
     parts = [f"### {cls.name}", f"{cls.summary[:1].upper()}{cls.summary[1:]}.", f"**Law**: {_plain(law)}"]
+    parts.append(effect_figures.markdown(cls.name))
     parts.append(f"**A report says**: {_plain(_sentence(cls))}")
     rows = [
         f"| `{key}` | {_unit(info['unit'])} | {info['low']:g} to {info['high']:g} | {_plain(info['doc'])} |"
@@ -116,16 +111,8 @@ def _plain(text: str) -> str:
     return text if "`" in text else text.replace("*", "\\*").replace("_", "\\_").replace("‹", "*").replace("›", "*")
 
 
-@cache
-def _robot(kind: str) -> Robot:
-    return nominal_model().robot if kind == "elastic" else MjcfRobot("arm", ARM)
-
-
 def _sentence(cls: type[Effect]) -> str:
-    robot = _robot("elastic" if "elastic" in cls.robots else "mjcf")
-    places = cls.places_on(robot)
-    place = next(name for kind in cls.sits_at for name in places.get(kind, ()))
-    return cls.sentence(_Template(cls, robot, place))
+    return cls.sentence(_Template(cls, effect_laws.robot_of(cls), effect_laws.place_of(cls)))
 
 
 @dataclass(frozen=True)
