@@ -36,6 +36,15 @@ SMALL = {"kind": "none", "trials": 2, "duration": 3.0, "baselines": False, "seed
 """Cases of seconds: the fewer there is to do, the more an overhead shows."""
 
 
+QUIET = {
+    "distributed.worker.profile.enabled": False,
+    "distributed.admin.tick.interval": "1s",
+    "distributed.admin.system-monitor.interval": "5s",
+    "distributed.worker.memory.monitor-interval": "2s",
+}
+"""Of Dask, as docs/cluster.md has them: by default its processes take several per cent of a core each, idle or not."""
+
+
 def nothing(data: np.ndarray) -> float:
     return float(data[0])
 
@@ -65,10 +74,14 @@ def of_nothing(pool: Executor, pieces: int, apart: bool, size: int) -> dict[str,
 
 @contextmanager
 def cluster() -> Iterator[str]:
-    """Address of a scheduler with two workers, processes of their own."""
+    """Address of a scheduler with two workers, processes of their own, which look at themselves seldom."""
+    import dask
     from distributed import LocalCluster
 
-    with LocalCluster(n_workers=WORKERS, threads_per_worker=1, processes=True, dashboard_address=":0") as own:
+    with (
+        dask.config.set(QUIET),
+        LocalCluster(n_workers=WORKERS, threads_per_worker=1, processes=True, dashboard_address=":0") as own,
+    ):
         yield own.scheduler_address
 
 
