@@ -166,6 +166,10 @@ def with_prescribed(trial: Recording, robot: Robot) -> Recording:
         return trial
     given = trial.position[:, [trial.joints.index(name) for name in columns]]
     kept = [j for j, name in enumerate(trial.joints) if name not in columns]
+    inputs = {f"pos.{name}": trial.position[:, trial.joints.index(name)] for name in columns}
+    if trial.velocity is not None:
+        rates = ((name, trial.velocity[:, trial.joints.index(name)]) for name in columns)
+        inputs |= {f"vel.{name}": rate for name, rate in rates if not np.isnan(rate).all()}
     velocity = None if trial.velocity is None else trial.velocity[:, kept]
     if velocity is not None and np.isnan(velocity).all():
         velocity = None  # that of prescribed joints alone was measured
@@ -174,6 +178,7 @@ def with_prescribed(trial: Recording, robot: Robot) -> Recording:
         position=trial.position[:, kept],
         joints=tuple(trial.joints[j] for j in kept),
         velocity=velocity,
+        inputs=inputs,
         prescribed=smoothed(
             trial.name, robot.prescribed_names, trial.time, robot.prescribed_positions(trial.name, given)
         ),

@@ -113,6 +113,7 @@ def within(trial: Recording, window: tuple[float, float] | None) -> Recording:
         velocity=None if trial.velocity is None else trial.velocity[rows],
         measured=None if trial.measured is None else trial.measured[rows],
         sites={name: values[rows] for name, values in trial.sites.items()},
+        inputs={name: values[rows] for name, values in trial.inputs.items()},
         before=trial.command[first - 1] if first else trial.before,
     )
 
