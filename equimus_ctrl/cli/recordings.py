@@ -159,7 +159,7 @@ def check(
     import warnings
 
     from equimus_ctrl import recordings, workflow
-    from equimus_ctrl.diagnosis.preflight import other_joints
+    from equimus_ctrl.diagnosis.plausibility import other_joints
     from equimus_ctrl.engines.choice import engine_for
     from equimus_ctrl.errors import ConfigError, unknown_name
 

@@ -77,7 +77,7 @@ _ROWS: Mapping[str, tuple[Row, ...]] = {
         ("SHORTEST", 1 / 16, "looked at", "convention", "of the XML's step, the shortest one that is asked"),
         ("NOISELESS", 1e-4, "looked at", "convention", "noise, of the motion, below which laws with states are asked"),
     ),
-    "diagnosis.preflight": (
+    "diagnosis.plausibility": (
         (
             "UNLIKE",
             0.5,
