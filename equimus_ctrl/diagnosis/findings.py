@@ -13,6 +13,7 @@ from scipy.special import chdtrc, chdtri
 from equimus_ctrl.diagnosis.alternatives import in_place, replacement
 from equimus_ctrl.diagnosis.curved_intervals import curved_ends
 from equimus_ctrl.diagnosis.fitting import Data, Fitted
+from equimus_ctrl.diagnosis.guessed_changes import ESTIMATED
 from equimus_ctrl.diagnosis.holdout import Split
 from equimus_ctrl.diagnosis.holdout_residuals import HoldoutResiduals
 from equimus_ctrl.diagnosis.hypothesis import Candidate, Part
@@ -27,7 +28,7 @@ from equimus_ctrl.diagnosis.results import (
     Ranked,
     Verdict,
 )
-from equimus_ctrl.diagnosis.screening import ESTIMATED, Screened
+from equimus_ctrl.diagnosis.screening import Screened
 from equimus_ctrl.diagnosis.search import Search
 from equimus_ctrl.diagnosis.search_state import SearchHistory, SearchState
 from equimus_ctrl.identification.fit import FitSettings

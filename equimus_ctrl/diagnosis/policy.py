@@ -379,7 +379,7 @@ class Thresholds:
         "a change of which free parameters undo all but one part in so many is looked at with them moved along",
         "calibration",
         PROOFS,
-        where="screening",
+        where="moved_parameters",
     )
     covered: float = decided_by(
         0.9,
