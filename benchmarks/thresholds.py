@@ -1,4 +1,4 @@
-"""How the answers of a proof move when each number that decides is halved and doubled: ``diagnosis/policy.py``.
+"""How the answers of a proof move when each number that decides is halved and doubled: ``diagnosis/thresholds.py``.
 
 python benchmarks/thresholds.py PROOF [--model robot.xml] [--first 0] [--cases 200] [--output FILE] [--budget SECONDS]
     [--numbers name ...] [--also name=value,... ...]
@@ -33,7 +33,7 @@ from equimus_ctrl.diagnosis import fitting, guessed_changes
 from equimus_ctrl.diagnosis.diagnose import DiagnosisSettings, diagnose
 from equimus_ctrl.diagnosis.holdout import Split, split
 from equimus_ctrl.diagnosis.hypothesis import default_free_parameters
-from equimus_ctrl.diagnosis.policy import Thresholds
+from equimus_ctrl.diagnosis.thresholds import Thresholds
 from equimus_ctrl.errors import EquimusError
 from equimus_ctrl.models.model import Model, nominal_model
 from equimus_ctrl.proof.scoring import Score, score
