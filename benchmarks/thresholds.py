@@ -1,4 +1,4 @@
-"""How the answers of a proof move when each number that decides is halved and doubled: ``diagnosis/policy.py``.
+"""How the answers of a proof move when each number that decides is halved and doubled: ``diagnosis/thresholds.py``.
 
 python benchmarks/thresholds.py PROOF [--model robot.xml] [--first 0] [--cases 200] [--output FILE] [--budget SECONDS]
     [--numbers name ...] [--also name=value,... ...]
@@ -29,11 +29,11 @@ from unittest.mock import patch
 import numpy as np
 
 from equimus_ctrl import workflow
-from equimus_ctrl.diagnosis import fitting, screening
+from equimus_ctrl.diagnosis import fitting, guessed_changes
 from equimus_ctrl.diagnosis.diagnose import DiagnosisSettings, diagnose
 from equimus_ctrl.diagnosis.holdout import Split, split
 from equimus_ctrl.diagnosis.hypothesis import default_free_parameters
-from equimus_ctrl.diagnosis.policy import Thresholds
+from equimus_ctrl.diagnosis.thresholds import Thresholds
 from equimus_ctrl.errors import EquimusError
 from equimus_ctrl.models.model import Model, nominal_model
 from equimus_ctrl.proof.scoring import Score, score
@@ -95,7 +95,7 @@ class Memory:
     @contextmanager
     def used(self) -> Iterator[None]:
         """Diagnoses meanwhile take over what is known."""
-        fit, changed = fitting.fit, screening._changes
+        fit, changed = fitting.fit, guessed_changes.changes_of
 
         def fitted(parameters: Any, segments: Any, **given: Any) -> Any:
             begin = tuple((theta.tobytes(), _bytes(starts)) for theta, starts in given["begin"])
@@ -122,7 +122,7 @@ class Memory:
             known = [self._known[key] for key in keys]
             return [np.stack(of_segment, axis=2) for of_segment in zip(*known, strict=True)]
 
-        with patch.object(fitting, "fit", fitted), patch.object(screening, "_changes", changes):
+        with patch.object(fitting, "fit", fitted), patch.object(guessed_changes, "changes_of", changes):
             yield
 
     def _of(self, key: Hashable, work: Callable[[], Any]) -> Any:

@@ -25,6 +25,7 @@ from types import ModuleType
 from typing import Any
 from xml.etree import ElementTree
 
+import cloudpickle
 import tomlkit
 
 from equimus_ctrl.errors import FAILURES, ConfigError, ControllerError, EquimusError, ModelError, unknown_name
@@ -295,8 +296,12 @@ def write_text(path: Path, text: str) -> None:
     write_bytes(path, text.encode())
 
 
-def load_script(path: Path) -> ModuleType:
+def load_script(path: Path, *, sent: bool = True) -> ModuleType:
     """Run a user's Python file as a module.
+
+    Args:
+        path: of the file.
+        sent: whether what it defines is sent to other processes that need it; else they load the file themselves.
 
     Raises:
         ConfigError: where it cannot be read or fails.
@@ -309,6 +314,10 @@ def load_script(path: Path) -> ModuleType:
         raise ConfigError(f"{path}: is not a Python file")
     module = importlib.util.module_from_spec(spec)
     sys.modules[name] = module
+    if sent:
+        cloudpickle.register_pickle_by_value(module)
+    elif name in cloudpickle.list_registry_pickle_by_value():
+        cloudpickle.unregister_pickle_by_value(module)
     try:
         spec.loader.exec_module(module)
     except EquimusError as error:

@@ -106,6 +106,7 @@ class Recording(Short):
         notes: provenance and whatever else the file says of itself.
         prescribed: how joints moved whose motion is an input; they are none of ``joints``.
         supposed: how joints may have moved that were not measured, for where their motion begins.
+        inputs: (n,) each, the columns of a file that ``prescribed`` was made of, such as ``pos.base.x``.
     """
 
     name: str
@@ -121,6 +122,7 @@ class Recording(Short):
     sites: Mapping[str, Array] = field(default_factory=dict)
     prescribed: PrescribedMotion | None = None
     supposed: PrescribedMotion | None = None
+    inputs: Mapping[str, Array] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         for key, ndim in (("time", 1), ("command", 2), ("position", 2)):
@@ -131,6 +133,8 @@ class Recording(Short):
         object.__setattr__(self, "notes", dict(self.notes))
         sites = {name: frozen_array(values, 1, f"{self.name}: site.{name}") for name, values in self.sites.items()}
         object.__setattr__(self, "sites", sites)
+        inputs = {name: frozen_array(values, 1, f"{self.name}: {name}") for name, values in self.inputs.items()}
+        object.__setattr__(self, "inputs", inputs)
         n = len(self.time)
         shapes: dict[str, tuple[Array | None, tuple[int, ...]]] = {
             "command": (self.command, (n, len(self.actuators))),
@@ -139,6 +143,7 @@ class Recording(Short):
             "measured": (self.measured, (n, len(self.actuators))),
             "before": (self.before, (len(self.actuators),)),
             **{f"site.{name}": (values, (n,)) for name, values in sites.items()},
+            **{name: (values, (n,)) for name, values in inputs.items()},
         }
         for key, (array, shape) in shapes.items():
             if array is not None and array.shape != shape:
@@ -160,7 +165,7 @@ class Recording(Short):
         for kind, names, values in (("vel", self.joints, self.velocity), ("meas", self.actuators, self.measured)):
             parts += [] if values is None else [(kind, names, values)]
         sites = {f"site.{name}": values for name, values in self.sites.items()}
-        return dataframe({"time": self.time, **_columns(parts), **sites}, "time")
+        return dataframe({"time": self.time, **_columns(parts), **self.inputs, **sites}, "time")
 
     @property
     def poses(self) -> Array:

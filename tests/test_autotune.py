@@ -23,8 +23,9 @@ from equimus_ctrl.executors.where import Where
 from equimus_ctrl.tuning import autotune as tuning
 from equimus_ctrl.tuning.autotune import NothingFeasible, autotune, best_feasible
 from equimus_ctrl.tuning.ensemble import make_ensemble
+from equimus_ctrl.tuning.evaluation import Evaluation
 from equimus_ctrl.tuning.journal import RowJournal
-from equimus_ctrl.tuning.objective import Evaluation, Problem, make_task
+from equimus_ctrl.tuning.objective import Problem, make_task
 from equimus_ctrl.tuning.result import TuningResult
 from equimus_ctrl.tuning.search import Trial
 from equimus_ctrl.tuning.study import EnsembleSettings, Limits, Study, Weights, study_from_dict

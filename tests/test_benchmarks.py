@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 from pendulum_runs import MOTOR, PENDULUM, recorded
 
-from equimus_ctrl.diagnosis.policy import Thresholds
+from equimus_ctrl.diagnosis.thresholds import Thresholds
 from equimus_ctrl.effects.force import CoulombFriction
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.recordings.csvfile import write

@@ -17,9 +17,10 @@ from equimus_ctrl.diagnosis.candidates import candidates
 from equimus_ctrl.diagnosis.fitting import Data, Fitted
 from equimus_ctrl.diagnosis.holdout import split
 from equimus_ctrl.diagnosis.hypothesis import default_free_parameters
-from equimus_ctrl.diagnosis.policy import SearchPolicy, Thresholds
+from equimus_ctrl.diagnosis.policy import SearchPolicy
 from equimus_ctrl.diagnosis.screening import screen
 from equimus_ctrl.diagnosis.search import Search
+from equimus_ctrl.diagnosis.thresholds import Thresholds
 from equimus_ctrl.engines.choice import engine_for
 from equimus_ctrl.identification.noise import JointNoise, white_noise
 from equimus_ctrl.identification.simulators import Simulator

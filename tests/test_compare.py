@@ -5,6 +5,8 @@ from __future__ import annotations
 import io
 import json
 import math
+import os
+import threading
 import time
 from pathlib import Path
 
@@ -105,6 +107,71 @@ def test_the_same_seed_gives_the_same_figures() -> None:
         for clock in ("solve_time_s", "deadline_missed_share"):
             del entry[clock]
     assert one == other
+
+
+def answers(found: Comparison) -> tuple[list[dict[str, object]], list[bytes]]:
+    """What runs came to without times of steps, and the bits of their motions."""
+    entries = found.to_dict()["entries"]
+    for entry in entries:
+        for clock in ("solve_time_s", "deadline_missed_share"):
+            entry.pop(clock, None)
+    runs = [entry.run for entry in found.entries if entry.run is not None]
+    return entries, [b"".join(a.tobytes() for a in (r.position, r.truth, r.command)) for r in runs]  # type: ignore[union-attr]
+
+
+SPRING = """import numpy as np
+
+class Spring:
+    name = "spring"
+
+    def init(self, spec, observation):
+        return None
+
+    def step(self, observation, reference, state):
+        return 1e4 + 1e3 * np.asarray(observation.position), state
+"""
+
+
+def test_processes_come_to_the_same_bits_as_one(tmp_path: Path) -> None:
+    """Also of a controller that a file defines, which other processes have not loaded."""
+    (tmp_path / "spring.py").write_text(SPRING)
+    own, seen = f"{tmp_path / 'spring.py'}:Spring", list[tuple[float, str]]()
+    given = ([hold(0.3)], ["lqr", own, Breaks], ["perturbed"])
+    one = compare(*given, draws=2, seed=5, workers=1)
+    two = compare(*given, draws=2, seed=5, workers=2, notify=lambda *a: seen.append(a))
+    assert answers(one) == answers(two)
+    assert len(one.entries) == 6 and len(set(answers(two)[1])) == 6
+    shares = [share for share, _ in seen]
+    assert shares == [k / 6 for k in range(7)] and seen[0][1] == "lqr, short_hold, perturbed 1" and seen[-1][1] == ""
+
+
+@pytest.mark.slow
+def test_a_cluster_comes_to_the_same_bits(tmp_path: Path) -> None:
+    distributed = pytest.importorskip("distributed")
+    (tmp_path / "spring.py").write_text(SPRING)
+    given = ([hold(0.3)], ["lqr", f"{tmp_path / 'spring.py'}:Spring"], ["perturbed"])
+    own = distributed.LocalCluster(n_workers=2, threads_per_worker=1, processes=True, dashboard_address=":0")
+    with own:
+        there = compare(*given, draws=2, seed=5, scheduler=own.scheduler_address)
+    assert answers(there) == answers(compare(*given, draws=2, seed=5, workers=1))
+
+
+def test_what_cannot_be_given_to_another_process_is_driven_by_this_one() -> None:
+    class Holds(Plays):
+        name = "holds"
+
+        def __init__(self) -> None:
+            self.lock, self.processes = threading.Lock(), set[int]()
+
+        def init(self, spec: object, observation: object) -> None:
+            self.processes.add(os.getpid())
+
+    controller = Holds()
+    assert not compare([hold(0.1)], [controller], ["nominal", "noisy"]).failures
+    assert controller.processes == {os.getpid()}
+    told = r"controller holds cannot be given to another process \(TypeError: cannot pickle '_thread.lock' object\)"
+    with pytest.raises(ConfigError, match=told):
+        compare([hold(0.1)], [controller], ["nominal", "noisy"], workers=2)
 
 
 def test_conditions_are_what_they_say() -> None:
@@ -299,6 +366,10 @@ def test_the_command_writes_prints_and_tells(
         (["hold", "--condition", "corrected"], "needs a corrected model; give it with --corrected FILE"),
         (["hold", "--settings", "lqr=nowhere.toml"], "nowhere.toml"),
         (["hold", "-c", "pid", "--settings", "lqr=x.toml"], "settings are given for lqr, which is not compared"),
+        (
+            ["hold", "--workers", "2", "--scheduler", "tcp://head:8786"],
+            "expected one: each says where the work is done",
+        ),
         (["hold", "--seed", "-1"], "seed is -1, expected at least 0"),
     ],
 )

@@ -23,8 +23,8 @@ from equimus_ctrl.diagnosis.fitting import Data, chi_squared
 from equimus_ctrl.diagnosis.holdout import split
 from equimus_ctrl.diagnosis.holdout_residuals import HoldoutResiduals
 from equimus_ctrl.diagnosis.hypothesis import Candidate, Part, default_free_parameters
-from equimus_ctrl.diagnosis.policy import Thresholds
 from equimus_ctrl.diagnosis.stages import _failed
+from equimus_ctrl.diagnosis.thresholds import Thresholds
 from equimus_ctrl.effects.force import CoulombFriction
 from equimus_ctrl.identification.noise import JointNoise, white_noise
 from equimus_ctrl.identification.simulators import simulator_for

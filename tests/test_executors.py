@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import pickle
 import signal
+import subprocess
 import sys
 import threading
 import time
@@ -451,3 +452,35 @@ def test_a_worker_with_another_processor_is_told(cluster: Any, monkeypatch: pyte
         OtherProcessor, match=rf"worker tcp://.* has another processor \(numba {here['numba']}, not cray-1"
     ):
         look_at(scheduler=cluster.scheduler_address)
+
+
+def test_each_worker_that_does_a_piece_is_compared(cluster: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    other = {**processor(), "numba": "cray-1"}
+    with Where(scheduler=cluster.scheduler_address).opened() as pool:
+        assert dict(pool.each(square, [(2.0,)])) == {0: 4.0}  # of the kind of all: nothing is told
+        monkeypatch.setattr(on_dask, "warn_of_mix", lambda found: warn_of_mix(found, other))
+        with pytest.warns(
+            OtherProcessor, match=r"worker tcp://.* has another processor \(numba .*, not cray-1"
+        ) as told:
+            assert dict(pool.each(square, [(1.0 * k,) for k in range(6)])) == {k: 1.0 * k * k for k in range(6)}
+        assert len(told) == 1
+
+
+@pytest.mark.slow
+def test_a_worker_of_another_kind_that_joins_later_is_told() -> None:
+    distributed = pytest.importorskip("distributed")
+    own = distributed.LocalCluster(n_workers=1, threads_per_worker=1, processes=True, dashboard_address=":0")
+    with own, Where(scheduler=own.scheduler_address).opened() as pool:
+        command = [sys.executable, "-m", "distributed.cli.dask_worker", own.scheduler_address, "--no-nanny"]
+        late = subprocess.Popen(
+            [*command, "--nthreads", "1"],
+            env={**os.environ, "NUMBA_CPU_NAME": "generic", "PYTHONPATH": os.pathsep.join(sys.path)},
+            stderr=subprocess.DEVNULL,
+        )
+        try:
+            within(60, lambda: len(list(_workers(own))) == 2)
+            with pytest.warns(OtherProcessor, match=r"has another processor \(numba generic, not "):
+                assert len(dict(pool.each(who, [(k,) for k in range(12)]))) == 12
+        finally:
+            late.terminate()
+            late.wait()

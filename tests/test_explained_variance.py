@@ -10,8 +10,8 @@ import pytest
 
 from equimus_ctrl.diagnosis.explained_variance import explained
 from equimus_ctrl.diagnosis.force_basis import ForceFamily
-from equimus_ctrl.diagnosis.policy import Thresholds
 from equimus_ctrl.diagnosis.residual_force import LinearisedFit, force_candidates, judged
+from equimus_ctrl.diagnosis.thresholds import Thresholds
 from equimus_ctrl.diagnosis.unexplained import select_forces
 from equimus_ctrl.errors import ConfigError
 from equimus_ctrl.identification.projection import Nuisance

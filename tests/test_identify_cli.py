@@ -336,13 +336,32 @@ def test_intervals_have_the_digits_that_they_are_worth() -> None:
         "endless": (300.0, 500.0, 0.0, 700.0, "not identifiable"),
         "unseen": (300.0, np.inf, 0.0, 700.0, "not identifiable"),
     }
-    free = [SimpleNamespace(name=name, unit="N", start=1.0, low=row[2], high=row[3]) for name, row in rows.items()]
-    found: Any = SimpleNamespace(
-        parameters=SimpleNamespace(free=free, names=list(rows)), theta=np.array([row[0] for row in rows.values()]),
-        uncertainty=SimpleNamespace(half_width=np.array([row[1] for row in rows.values()])), at_bound=np.zeros(4),
-    )  # fmt: skip
-    console = Console(width=120, record=True, file=io.StringIO())
-    verb._parameter_table(console, found, "of the initial model")
-    lines = {line.split()[0]: line for line in console.export_text().splitlines() if line.split()}
+    text = table_text(rows, 120)
+    lines = {line.split()[0]: line for line in text.splitlines() if line.split()}
     for name, row in rows.items():
         assert lines[name].rstrip().endswith(row[-1]), lines[name]
+
+
+def table_text(rows: dict[str, Any], width: int) -> str:
+    """The table of parameters: name → estimate, half the interval, bounds."""
+    free = [
+        SimpleNamespace(name=name, unit="N·m·s/rad", start=1.0, low=row[2], high=row[3]) for name, row in rows.items()
+    ]
+    found: Any = SimpleNamespace(
+        parameters=SimpleNamespace(free=free, names=list(rows)), theta=np.array([row[0] for row in rows.values()]),
+        uncertainty=SimpleNamespace(half_width=np.array([row[1] for row in rows.values()])),
+        at_bound=np.array([int(row[0] == row[3]) for row in rows.values()]),
+    )  # fmt: skip
+    console = Console(width=width, record=True, file=io.StringIO())
+    verb._parameter_table(console, found, "of the initial model")
+    return console.export_text()
+
+
+@pytest.mark.parametrize("width", [40, 60, 80, 120])
+@pytest.mark.parametrize("name", ["maa.stiffness", "right_shoulder_pitch.friction_loss"])
+def test_names_numbers_and_intervals_stay_whole_in_any_terminal(width: int, name: str) -> None:
+    rows = {name: (110.0, 0.02, 0.0, 500.0), "b.damping": (1.2345678, 0.001, 0.0, 1.2345678)}
+    text = table_text(rows, width)
+    assert all(len(line) <= width for line in text.splitlines()) and "…" not in text
+    for told in (name, "b.damping", "N·m·s/rad", "110.00", "109.98 to 110.02", "at bound", "high"):
+        assert told in text, text

@@ -14,7 +14,7 @@ from mjcf_models import refusal
 from pendulum_runs import MOTOR, PENDULUM
 
 from equimus_ctrl import recordings, workflow
-from equimus_ctrl.diagnosis import preflight
+from equimus_ctrl.diagnosis import plausibility
 from equimus_ctrl.diagnosis.linear_response import linearise
 from equimus_ctrl.diagnosis.observed import observed
 from equimus_ctrl.effects import (
@@ -306,22 +306,22 @@ def test_recordings_of_which_one_has_no_measured_forces_are_told_before_a_search
     first, second = with_channels(measured()[:2], ["meas.*"])
     lacking = replace(second, measured=None, notes={})
     for trials in ([first, lacking], [lacking, first]):
-        told = refusal(lambda trials=trials: preflight.check(Model(SERVO), trials))
+        told = refusal(lambda trials=trials: plausibility.check(Model(SERVO), trials))
         assert told.startswith(f"{trials[1].name} and {trials[0].name} do not compare the same columns")
 
 
 def test_a_measured_torque_of_the_other_sign_or_in_another_unit_is_told_before_a_search() -> None:
     model, trials = Model(SERVO), with_channels(measured(), ["meas.*"])
-    preflight.check(model, trials)
+    plausibility.check(model, trials)
 
     def said(factor: float) -> str:
         changed = [replace(t, measured=factor * np.asarray(t.measured)) for t in trials]
-        return refusal(lambda: preflight.check(model, changed))
+        return refusal(lambda: plausibility.check(model, changed))
 
     assert "meas.drive looks negated" in said(-1.0) and "pos.hinge" in said(-1.0)
     assert "meas.drive looks like a force in another unit" in said(1e3)
     untold = [replace(t, measured=-np.asarray(t.measured), notes={}) for t in trials]
-    preflight.check(model, untold)  # it is not compared
+    plausibility.check(model, untold)  # it is not compared
 
 
 def pulled(xml: str, given: Array, seed: int) -> tuple[Array, Array]:
@@ -345,7 +345,7 @@ def test_of_an_actuator_with_several_commands_any_column_is_checked() -> None:
     q, f = pulled(xml, given, 1)
     force = np.column_stack([np.full(400, math.nan), -f[:, 0]])
     trial = Recording("t0", EVERY * np.arange(400), given, q, robot.actuator_names, ("hinge",), measured=force)
-    told = refusal(lambda: preflight.check(Model(robot), with_channels([trial], ["meas.*"])))
+    told = refusal(lambda: plausibility.check(Model(robot), with_channels([trial], ["meas.*"])))
     assert "meas.pid.vel looks negated" in told
 
 
@@ -373,23 +373,23 @@ WAY = np.sin(4 * EVERY * np.arange(400)) + np.sin(9 * EVERY * np.arange(400))
 def test_a_joint_on_which_another_actuator_pulls_is_not_checked() -> None:
     """A tendon drives it the other way, and more; where it does not, what was measured is the opposite."""
     model, own = two(0.9, np.column_stack([-0.4 * WAY, 0 * WAY, 2 * WAY]))
-    preflight.check(model, with_channels([own], ["meas.*"]))
+    plausibility.check(model, with_channels([own], ["meas.*"]))
     model, own = two(0.0, np.column_stack([1.4 * WAY, 0 * WAY, 2 * WAY]))
     turned = with_channels([replace(own, measured=-np.asarray(own.measured))], ["meas.*"])
-    assert "meas.a looks negated" in refusal(lambda: preflight.check(model, turned))
+    assert "meas.a looks negated" in refusal(lambda: plausibility.check(model, turned))
 
 
 def test_what_two_joints_need_is_worked_out_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    widths, evaluated = list[int](), preflight.inverse_dynamics
+    widths, evaluated = list[int](), plausibility.inverse_dynamics
 
     def counted(model: Model, motions: list[MeasuredMotion], width: int) -> list[InverseDynamics]:
         widths.append(width)
         return evaluated(model, motions, width)
 
-    monkeypatch.setattr(preflight, "inverse_dynamics", counted)
-    monkeypatch.setattr(preflight, "mistaken", lambda *given: "")
+    monkeypatch.setattr(plausibility, "inverse_dynamics", counted)
+    monkeypatch.setattr(plausibility, "mistaken", lambda *given: "")
     model, own = two(0.0, np.column_stack([1.4 * WAY, 0.3 * WAY, 0.2 * WAY]), 'joint="second"')
-    preflight.check(model, with_channels([own], ["meas.*"]))
+    plausibility.check(model, with_channels([own], ["meas.*"]))
     assert sorted(widths) == sorted(
-        2 * preflight.WIDTHS
+        2 * plausibility.WIDTHS
     )  # for what drives exert by the model, and for what was measured

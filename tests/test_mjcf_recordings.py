@@ -12,7 +12,7 @@ from mjcf_models import CRANE, PENDULUM, refusal
 from scipy.integrate import solve_ivp
 
 from equimus_ctrl import workflow
-from equimus_ctrl.diagnosis import preflight
+from equimus_ctrl.diagnosis import plausibility
 from equimus_ctrl.diagnosis.holdout import check_settings, split
 from equimus_ctrl.effects import ViscousFriction
 from equimus_ctrl.engines.mjcf import simulate_mjcf
@@ -97,15 +97,15 @@ def test_a_recording_of_which_too_little_is_left_is_told_with_how_long_it_is() -
 def test_what_is_not_compared_for_that_is_told() -> None:
     trials = [recording(MOVING, f"trial {k}") for k in range(3)] + [recording(name="at rest")]
     parts = split(Model(PENDULUM), trials, shoot=0.5)
-    (told,) = preflight.left_out_at_first(trials, parts)
+    (told,) = plausibility.left_out_at_first(trials, parts)
     assert told.startswith("trial 0, trial 1, trial 2: in motion at the first row (settled = no), and what was")
     assert "so the first 0.1 s are not compared" in told and "at rest" not in told
     last = replace(parts, train=parts.train[-1:], validation=(), test=())
-    (told,) = preflight.left_out_at_first(trials, last)
+    (told,) = plausibility.left_out_at_first(trials, last)
     assert "so the first 0.09" in told, "that of an interval, whichever of them are fitted"
-    assert preflight.left_out_at_first(trials[3:], parts) == []
+    assert plausibility.left_out_at_first(trials[3:], parts) == []
     later = split(Model(PENDULUM), trials, shoot=0.5, window=(0.3, 1.9))
-    assert preflight.left_out_at_first(trials, later, (0.3, 1.9)) == [], "the window leaves it out"
+    assert plausibility.left_out_at_first(trials, later, (0.3, 1.9)) == [], "the window leaves it out"
 
 
 WRONG_NOTES = [

@@ -11,7 +11,7 @@ import pytest
 from scipy.signal import butter, sosfiltfilt
 
 from equimus_ctrl.diagnosis.noise_size import noise_sizes
-from equimus_ctrl.diagnosis.policy import Thresholds
+from equimus_ctrl.diagnosis.thresholds import Thresholds
 from equimus_ctrl.identification.noise import (
     LONGEST,
     JointNoise,

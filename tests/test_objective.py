@@ -14,7 +14,8 @@ import equimus_ctrl as eq
 from equimus_ctrl.effects.command import POWER
 from equimus_ctrl.robots.elastic.morphology import pack
 from equimus_ctrl.tuning.ensemble import make_ensemble
-from equimus_ctrl.tuning.objective import BAND, TERMS, Evaluation, LegOutcome, Outcome, Problem, make_task
+from equimus_ctrl.tuning.evaluation import BAND, TERMS, Evaluation, LegOutcome, Outcome
+from equimus_ctrl.tuning.objective import Problem, make_task
 from equimus_ctrl.tuning.study import EnsembleSettings, Limits, Weights
 
 DT = 1 / 120

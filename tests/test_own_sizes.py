@@ -14,10 +14,11 @@ from test_torque_screening import data_of, two_joints
 from equimus_ctrl.diagnosis.alternatives import simpler_laws
 from equimus_ctrl.diagnosis.candidates import candidates
 from equimus_ctrl.diagnosis.fitting import Data
+from equimus_ctrl.diagnosis.guessed_changes import kept_beside
 from equimus_ctrl.diagnosis.hypothesis import Candidate, Part, parameters_of, refined, with_part
 from equimus_ctrl.diagnosis.hypothesis_moves import HypothesisMoves
 from equimus_ctrl.diagnosis.results import Named
-from equimus_ctrl.diagnosis.screening import _kept, screen
+from equimus_ctrl.diagnosis.screening import screen
 from equimus_ctrl.diagnosis.search_state import SearchHistory
 from equimus_ctrl.identification.uncertainty import Uncertainty
 from equimus_ctrl.models.model import Model
@@ -73,9 +74,9 @@ def test_parameters_that_stay_are_known_by_what_they_are() -> None:
     rubs, drag = part("coulomb_friction:shoulder,reach", 0.3, 2.0), part("quadratic_damping:shoulder", 0.1)
     old = (drag, rubs)
     new = with_part(MODEL, old, part("stribeck_friction:reach", 1.0, 0.5, 0.02))
-    assert _kept(4, old, new) == (0, 1, 2, 3, 4, 5)  # the model's own, the drag's, the shoulder's friction
+    assert kept_beside(4, old, new) == (0, 1, 2, 3, 4, 5)  # the model's own, the drag's, the shoulder's friction
     whole = with_part(MODEL, (part("coulomb_friction:reach", 2.0), drag), rubs)
-    assert _kept(4, (part("coulomb_friction:reach", 2.0), drag), whole) == (0, 1, 2, 3, 5)
+    assert kept_beside(4, (part("coulomb_friction:reach", 2.0), drag), whole) == (0, 1, 2, 3, 5)
 
 
 @pytest.mark.slow

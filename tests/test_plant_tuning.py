@@ -20,7 +20,7 @@ from equimus_ctrl.models.model import Model, nominal_model
 from equimus_ctrl.robots.mjcf.robot import MjcfRobot
 from equimus_ctrl.tuning.autotune import best_feasible
 from equimus_ctrl.tuning.ensemble import make_members
-from equimus_ctrl.tuning.objective import Evaluation
+from equimus_ctrl.tuning.evaluation import Evaluation
 from equimus_ctrl.tuning.plant_problem import PlantProblem
 from equimus_ctrl.tuning.plant_tuning import make_plant_problem
 from equimus_ctrl.tuning.search import Trial

@@ -14,7 +14,7 @@ from scipy.stats import chi2, norm
 
 from equimus_ctrl.diagnosis.fitting import CONVERGED_GAIN
 from equimus_ctrl.diagnosis.other_numbers import other_numbers
-from equimus_ctrl.diagnosis.policy import Thresholds
+from equimus_ctrl.diagnosis.thresholds import Thresholds
 
 DIAGNOSIS = Path(__file__).resolve().parents[1] / "equimus_ctrl" / "diagnosis"
 TOLD = {"blocks", "far_off"}

@@ -15,7 +15,7 @@ from equimus_ctrl.cli.main import main
 from equimus_ctrl.diagnosis.linear_response import linearise
 from equimus_ctrl.diagnosis.observed import observed
 from equimus_ctrl.diagnosis.place_excitation import excitation_of
-from equimus_ctrl.diagnosis.preflight import check, measured_motions
+from equimus_ctrl.diagnosis.plausibility import check, measured_motions
 from equimus_ctrl.engines.base import EngineName
 from equimus_ctrl.engines.choice import engine_for
 from equimus_ctrl.engines.mjcf_inverse import inverse_dynamics

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import mujoco
@@ -235,3 +236,52 @@ def test_what_acts_on_the_base_alone_is_not_needed(tmp_path: Path) -> None:
     assert robot.actuator_names == ("reel", "motor")
     whole = mujoco.MjModel.from_xml_string(corrected_xml(Model(robot))[0])
     assert [whole.actuator(i).name for i in range(3)] == ["rotor", "reel", "motor"]
+
+
+@pytest.mark.parametrize("rated", [False, True], ids=["positions", "one velocity"])
+@pytest.mark.parametrize("suffix", [".mcap", ".csv", ".npz", ".rrd", "bags"])
+def test_the_pose_of_a_base_is_written_and_read_back(suffix: str, rated: bool, tmp_path: Path) -> None:
+    """By the exports of a model that takes it as its input, with every bit where a format keeps them."""
+    library = {".mcap": "mcap", ".rrd": "rerun", "bags": "rosbags"}.get(suffix)
+    if library is not None:
+        pytest.importorskip(library)
+    xml, csv = files(tmp_path)
+    if rated:
+        rate = np.full((len(TIMES), len(COLUMNS) + 1), np.nan)
+        rate[:, -1] = 0.1
+        csv.unlink()
+        write(csv, replace(recording(), velocity=rate))
+    model = workflow.load_model(xml, prescribe=["base"], recordings=[csv])
+    (trial,) = workflow.read_recordings([csv], model)
+    assert trial.joints == ("swing",) and (trial.velocity is not None) is rated
+    assert tuple(trial.inputs) == tuple(f"pos.{name}" for name in COLUMNS)
+    path = tmp_path / f"written{suffix}"
+    if suffix in (".csv", ".npz"):
+        workflow.write_recording(path, trial)
+    else:
+        (path, *_) = workflow.export_recordings([csv], path, model, ros2=suffix == "bags")
+    if suffix == ".rrd":
+        assert all(f"base.{own}".encode() in path.read_bytes() for own in POSE)
+        return
+    (back,) = workflow.read_recordings([path], model)
+    for kind in ("time", "position", "command", *(["velocity"] if rated and suffix != "bags" else [])):
+        np.testing.assert_array_equal(getattr(back, kind), getattr(trial, kind))
+    for k, name in enumerate(COLUMNS):
+        np.testing.assert_array_equal(back.inputs[f"pos.{name}"], POSES[:, k])
+    assert back.prescribed is not None and trial.prescribed is not None
+    np.testing.assert_array_equal(back.prescribed.position, trial.prescribed.position)
+
+
+def test_velocities_of_some_joints_are_written_alone(tmp_path: Path) -> None:
+    """Of a base that is prescribed, or of no more joints than have a sensor."""
+    xml, _ = files(tmp_path)
+    own = recording()
+    rate = np.full(own.position.shape, np.nan)
+    rate[:, 0] = np.gradient(own.position[:, 0], TIMES)
+    csv = tmp_path / "rated.csv"
+    write(csv, replace(own, velocity=rate))
+    (trial,) = workflow.read_recordings([csv], workflow.load_model(xml, prescribe=["base"], recordings=[csv]))
+    assert trial.velocity is None
+    np.testing.assert_array_equal(trial.inputs["vel.base.x"], rate[:, 0])
+    assert set(trial.inputs) == {"vel.base.x", *(f"pos.{name}" for name in COLUMNS)}
+    assert {"vel.base.x", "pos.base.qz"} < set(trial.to_dataframe().columns)

@@ -10,9 +10,11 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
+import equimus_ctrl as eq
 from equimus_ctrl import recordings
 from equimus_ctrl.cli.recordings import app
 from equimus_ctrl.errors import NotAvailable, RecordingError
+from equimus_ctrl.recordings import RecordingWarning
 
 TEXT = "time,cmd.maa,cmd.baa,pos.hip,pos.knee\n0,1000,2000,1.5,0.1\n0.01,3000,2000,1.6,0.2\n"
 
@@ -52,6 +54,29 @@ def test_check_takes_limits(trial: Path) -> None:
     options = ["--command-high", "1e5", "--rotating", "knee"]
     assert CliRunner().invoke(app, ["check", str(trial), *options]).exit_code == 0
     assert CliRunner().invoke(app, ["check", str(trial), *options[:2]]).exit_code != 0
+
+
+def test_what_turns_without_end_is_no_hinge_in_degrees(trial: Path, tmp_path: Path) -> None:
+    robot, path = tmp_path / "robot.xml", tmp_path / "run.csv"
+    robot.write_text(
+        '<mujoco><worldbody><body><joint name="rail" type="slide"/><geom size="0.1" mass="1"/><body><joint name="wheel"/>'
+        '<geom size="0.1" mass="1"/></body></body></worldbody><actuator><motor name="belt" joint="rail"/></actuator></mujoco>'
+    )
+    rows = "".join(f"{0.01 * k:g},0,{0.001 * k:g},{9 * k}\n" for k in range(9))
+    path.write_text(f"time,cmd.belt,pos.rail,pos.wheel\n{rows}")
+    check = ["check", str(path), "--model", str(robot), "--json"]
+    told = json.loads(CliRunner().invoke(app, check).stdout)["warnings"]
+    assert len(told) == 1 and "pos.wheel goes to 72 rad, 11 turns; are these degrees" in told[0]
+    assert json.loads(CliRunner().invoke(app, [*check, "--rotating", "wheel"]).stdout)["warnings"] == []
+    with pytest.warns(RecordingWarning, match="11 turns"):
+        eq.check_recordings(path, eq.load_model(robot))
+    assert eq.check_recordings(path, eq.load_model(robot), rotating=["wheel"])[0].rows == 9
+    result = CliRunner().invoke(app, [*check, "--rotating", "whel"])
+    assert str(result.exception) == "--rotating: there is no hinge 'whel'; did you mean 'wheel'? (known: wheel)"
+    result = CliRunner().invoke(app, [*check, "--rotating", "rail"])
+    assert str(result.exception) == "--rotating: there is no hinge 'rail' (known: wheel)"
+    result = CliRunner().invoke(app, ["check", str(trial), "--rotating", "nee"])
+    assert str(result.exception) == "--rotating: there is no joint 'nee'; did you mean 'knee'? (known: hip, knee)"
 
 
 def test_check_of_an_mjcf_robot_reads_its_names_and_units(tmp_path: Path) -> None:

@@ -45,3 +45,17 @@ def test_columns_are_read_beside_their_heads() -> None:
 def test_a_table_without_numbers_or_rows() -> None:
     assert "trial" in shown(PagedTable("T", ("trial",), [("one",)]))
     assert "trial" in shown(PagedTable("T", ("trial", "x"), []))
+
+
+def test_leading_columns_are_repeated() -> None:
+    heads = ("parameter", "unit", *(f"a_long_name_of_joint_{k}" for k in range(6)))
+    text = shown(PagedTable("T", heads, [("knee.damping", "N·m·s/rad", *(f"{k}.5" for k in range(6)))], leading=2))
+    assert text.count("knee.damping") == text.count("N·m·s/rad") == 1 + text.count("continued") > 1
+
+
+def test_where_no_column_fits_beside_a_name_rows_are_lists() -> None:
+    names = ["a_very_long_name_of_a_joint.damping", "b"]
+    rows = [(name, f"{k}.123456", "") for k, name in enumerate(names)]
+    text = shown(PagedTable("T", ("parameter", "before\nin N", "at bound"), rows, caption="no more"), 36)
+    lines = [line.rstrip() for line in text.splitlines()]
+    assert lines == ["T", names[0], "  before in N: 0.123456", "b", "  before in N: 1.123456", " no more"]

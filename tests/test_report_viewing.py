@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import signal
+import socket
 import subprocess
 import sys
 import time
@@ -17,6 +18,7 @@ import numpy as np
 import pytest
 
 from equimus_ctrl import workflow
+from equimus_ctrl.cli.main import main
 from equimus_ctrl.errors import ConfigError, NotAvailable
 from equimus_ctrl.report import video, viewing
 from equimus_ctrl.report.viewing import GHOST, check_viewer, put, shown_of, view
@@ -110,7 +112,67 @@ def test_without_the_viewer_or_a_window_a_sentence_says_so(
         check_viewer()
 
 
+def listening(port: int) -> set[str]:
+    """Addresses at which somebody listens on a port, as Linux tells them."""
+    found = set()
+    for name, family in (("tcp", socket.AF_INET), ("tcp6", socket.AF_INET6)):
+        for line in Path(f"/proc/net/{name}").read_text().splitlines()[1:]:
+            place, state = line.split()[1], line.split()[3]
+            address, _, own = place.partition(":")
+            if int(own, 16) == port and state == "0A":
+                words = (bytes.fromhex(address[k : k + 8])[::-1] for k in range(0, len(address), 8))
+                found.add(socket.inet_ntop(family, b"".join(words)))
+    return found
+
+
+def test_a_page_is_bound_where_it_is_asked_for_or_not_at_all(monkeypatch: pytest.MonkeyPatch) -> None:
+    page = pytest.importorskip("equimus_ctrl.report.viewer_page")
+
+    class Viewer:
+        """Binds as the real one does, with less about it."""
+
+        def __init__(self) -> None:
+            self._host = "::"
+            self._http_sock = self.bound()
+            self.started = False
+            self._start_server()
+
+        def bound(self) -> socket.socket:
+            return page.web_viewer.web_server.bind_public_socket(self._host)
+
+        def _start_server(self) -> None:
+            self.started = True
+
+    class Everywhere(Viewer):
+        def bound(self) -> socket.socket:
+            return page.web_viewer.web_server.bind_public_socket("0.0.0.0")
+
+    monkeypatch.setattr(page.web_viewer, "WebViewer", Viewer)
+    for asked, got in (("127.0.0.1", "127.0.0.1"), ("0.0.0.0", "0.0.0.0")):
+        own = page._page_on(asked)()
+        assert own.started and own._http_sock.getsockname()[0] == got
+        own._http_sock.close()
+    monkeypatch.setattr(page.web_viewer, "WebViewer", Everywhere)
+    with pytest.raises(NotAvailable, match=r"on one interface alone \(it binds 0\.0\.0\.0\)"):
+        page._page_on("127.0.0.1")()
+    monkeypatch.setattr(page.web_viewer, "WebViewer", object)
+    with pytest.raises(NotAvailable, match="starts its server in another way"):
+        page._page_on("127.0.0.1")
+
+
+def test_the_interface_of_the_page_is_looked_at_before_the_run(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    assert viewing.check_host("localhost") in ("127.0.0.1", "::1")
+    with pytest.raises(ConfigError, match=r"--view-web-host is '192.0.2.1', which is no address of this computer"):
+        viewing.check_host("192.0.2.1")
+    command = ["run", "hold", "--controller", "pid", "-o", str(tmp_path / "out"), "--view-web-host", "0.0.0.0"]
+    assert main(command) == 2 and "--view-web-host is for --view-web alone" in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
+
+
 @pytest.mark.slow
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="who listens is read from /proc")
 def test_the_page_is_served_and_ctrl_c_closes_it(tmp_path: Path) -> None:
     pytest.importorskip("mujoco.studio.launch_web")
     command = [sys.executable, "-m", "equimus_ctrl", "run", "hold", "--controller", "pid", "--set", "duration=1"]
@@ -127,12 +189,14 @@ def test_the_page_is_served_and_ctrl_c_closes_it(tmp_path: Path) -> None:
             said += line
         with urllib.request.urlopen(f"http://localhost:{port[1]}/", timeout=30) as answer:
             assert answer.status == 200 and b"<html" in answer.read().lower()
+        assert listening(int(port[1])) == {"127.0.0.1"}
         process.send_signal(signal.SIGINT)
         out, rest = process.communicate(timeout=60)
     finally:
         process.kill()
         process.wait()
     assert process.returncode == 0 and "Traceback" not in said + rest
+    assert "Remote:" not in said
     assert "the ghost is the reference" in said and out.startswith("{") and "Viewer" not in out
 
 

@@ -13,8 +13,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from equimus_ctrl.tuning.evaluation import Evaluation
 from equimus_ctrl.tuning.journal import RowJournal
-from equimus_ctrl.tuning.objective import Evaluation
 from equimus_ctrl.tuning.search import Journal, Search, Trial
 
 LOW, HIGH, START = np.array([1.0, 0.1, 10.0]), np.array([100.0, 20.0, 4000.0]), np.array([30.0, 0.2, 2000.0])

@@ -29,9 +29,10 @@ from equimus_ctrl.diagnosis.findings import _alone, _smallest
 from equimus_ctrl.diagnosis.fitting import Data, Fitted
 from equimus_ctrl.diagnosis.hypothesis import Candidate, Part, beside
 from equimus_ctrl.diagnosis.hypothesis_moves import HypothesisMoves
-from equimus_ctrl.diagnosis.policy import SearchSettings, Thresholds
+from equimus_ctrl.diagnosis.policy import SearchSettings
 from equimus_ctrl.diagnosis.search import Search
 from equimus_ctrl.diagnosis.search_state import RivalDeviance, SearchHistory, SearchState, StopReason, no_rival
+from equimus_ctrl.diagnosis.thresholds import Thresholds
 from equimus_ctrl.effects import REGISTRY
 from equimus_ctrl.errors import SimulationDiverged
 from equimus_ctrl.identification.noise import JointNoise

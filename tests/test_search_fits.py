@@ -12,9 +12,10 @@ from search_on_paper import DEAD, FULL, OFF, POOL, RUB, STICK, VALUES, Known, On
 
 from equimus_ctrl.diagnosis.fitting import Fitted
 from equimus_ctrl.diagnosis.group_splits import own_in_each_group
+from equimus_ctrl.diagnosis.guessed_changes import rescaled
 from equimus_ctrl.diagnosis.hypothesis import Candidate, Part
 from equimus_ctrl.diagnosis.policy import SearchSettings
-from equimus_ctrl.diagnosis.screening import Screened, ScreenedGains, _rescaled
+from equimus_ctrl.diagnosis.screening import Screened, ScreenedGains
 from equimus_ctrl.diagnosis.search import Search
 from equimus_ctrl.diagnosis.search_state import Proposal, SearchHistory, no_rival
 from equimus_ctrl.effects import REGISTRY
@@ -237,9 +238,9 @@ def test_sizes_of_its_own_in_each_group_begin_at_the_common_one() -> None:
 
 def test_a_guess_is_rescaled_as_far_as_it_can_be() -> None:
     model, off = nominal_model(), Part(POOL[OFF], VALUES["sensor_offset"])
-    half = _rescaled(model, (off,), 0.5)
+    half = rescaled(model, (off,), 0.5)
     assert half is not None and half[-1].values == {"offset": 0.05}
-    assert _rescaled(model, (off,), 1e6) is None
+    assert rescaled(model, (off,), 1e6) is None
 
 
 @pytest.mark.parametrize(

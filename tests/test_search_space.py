@@ -20,8 +20,8 @@ from equimus_ctrl.controllers.search_space import Narrowing, Range, SearchSpace,
 from equimus_ctrl.models.model import Model, nominal_model
 from equimus_ctrl.plants.mujoco_plant import MujocoPlant
 from equimus_ctrl.robots.mjcf.robot import MjcfRobot
+from equimus_ctrl.tuning.evaluation import Evaluation
 from equimus_ctrl.tuning.journal import Memory, RowJournal
-from equimus_ctrl.tuning.objective import Evaluation
 from equimus_ctrl.tuning.search import Search
 from equimus_ctrl.tuning.study import PlantStudy, study_from_dict
 

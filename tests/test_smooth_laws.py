@@ -19,11 +19,12 @@ from equimus_ctrl.diagnosis.candidates import candidates
 from equimus_ctrl.diagnosis.fitting import Data, Fitted
 from equimus_ctrl.diagnosis.holdout import Split, split
 from equimus_ctrl.diagnosis.hypothesis import Candidate, Part, default_free_parameters, parameters_of
-from equimus_ctrl.diagnosis.policy import SearchSettings, Thresholds
+from equimus_ctrl.diagnosis.policy import SearchSettings
 from equimus_ctrl.diagnosis.residuals import ResidualForce
 from equimus_ctrl.diagnosis.search import Search
 from equimus_ctrl.diagnosis.search_state import SearchState
 from equimus_ctrl.diagnosis.smooth_laws import SHAPES, SmoothLaw, analysed, beside, redundant
+from equimus_ctrl.diagnosis.thresholds import Thresholds
 from equimus_ctrl.diagnosis.unexplained import GENERALISED, ResidualAnalysis
 from equimus_ctrl.effects import (
     REGISTRY,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from equimus_ctrl.diagnosis.policy import Thresholds
+from equimus_ctrl.diagnosis.thresholds import Thresholds
 from equimus_ctrl.preflight.limits import CheckLimits
 
 

@@ -45,7 +45,8 @@ def compare(
 ) -> None:
     """Drive controllers through scenarios under the same conditions, and print their errors side by side.
 
-    Errors are of the true angles. Exit code 3 says that a run ended early, and the table says why.
+    Errors are of the true angles. Runs are done beside each other, by processes of this computer or a cluster. Exit
+    code 3 says that a run ended early, and the table says why.
 
     \b
     [bold]Examples[/bold]
@@ -54,6 +55,7 @@ def compare(
     equimus-ctrl compare hold -c pid -c controllers/example_custom.py:Spring --json
     equimus-ctrl compare triangle --corrected corrected.toml
     equimus-ctrl compare hold track --model robot.xml
+    equimus-ctrl compare hold --condition perturbed --draws 500 --scheduler tcp://head:8786
     """  # noqa: D301
     from equimus_ctrl import outputs, presets, workflow
     from equimus_ctrl.cli.common import write_results

@@ -13,7 +13,6 @@ from equimus_ctrl.cli.common import (
     Json,
     PluginFiles,
     check_model_file,
-    light_table,
     people,
     print_engine,
     print_files,
@@ -35,9 +34,6 @@ if TYPE_CHECKING:
     from equimus_ctrl.identification.results import Identification, Identified, IdentifiedPoses, Judged
     from equimus_ctrl.identification.statics import StaticFit
     from equimus_ctrl.types import Array
-
-LONG_NAME = 16
-"""Of a parameter; a longer one is broken behind the name of what it is of."""
 
 
 @with_options
@@ -245,11 +241,9 @@ def _rmse_table(
 
 def _parameter_table(console: Console, found: Fit | StaticFit, origin: str) -> None:
     from equimus_ctrl.report.diagnosis_words import interval_digits, interval_text, number
+    from equimus_ctrl.report.paged import PagedTable
 
-    table = light_table(f"Parameters: before {origin}, after with 95 % intervals")
-    for name in ("parameter", "unit", "before", "after", "interval", "at bound"):
-        text = name in ("parameter", "unit")
-        table.add_column(name, justify="left" if text else "right", no_wrap=not text, overflow="fold")
+    rows = []
     for i, free in enumerate(found.parameters.free):
         value, width = float(found.theta[i]), float(found.uncertainty.half_width[i])
         # An end beyond what the parameter can be says nothing.
@@ -258,9 +252,10 @@ def _parameter_table(console: Console, found: Fit | StaticFit, origin: str) -> N
         digits = interval_digits(value, low, high)
         mark = {-1: "low", 0: "", 1: "high"}[int(found.at_bound[i])]
         numbers = number(free.start), number(value, digits), interval_text(value, low, high)
-        shown = free.name if len(free.name) <= LONG_NAME else free.name.replace(".", ".\n ", 1)
-        table.add_row(shown, free.unit, *numbers, mark)
-    console.print(table)
+        rows.append((free.name, free.unit, *numbers, mark))
+    heads = ("parameter", "unit", "before", "after", "interval", "at bound")
+    title = f"Parameters: before {origin}, after with 95 % intervals"
+    console.print(PagedTable(title, heads, rows, leading=2))
 
 
 def _explain(console: Console, found: Fit | StaticFit, angles: int) -> None:

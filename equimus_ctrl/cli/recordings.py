@@ -153,13 +153,15 @@ def check(
     equimus-ctrl recordings check trials/trial_00.csv trials/trial_01.csv
     equimus-ctrl recordings check other_robot --command-high 200000 --rotating wheel
     equimus-ctrl recordings check docs/examples/pendulum --model docs/examples/pendulum.xml
+    equimus-ctrl recordings check runs --model robot.xml --rotating wheel
     equimus-ctrl recordings check trials --json
     """  # noqa: D301 (the backspace keeps the lines of the examples apart)
     import warnings
 
     from equimus_ctrl import recordings, workflow
-    from equimus_ctrl.diagnosis.preflight import other_joints
+    from equimus_ctrl.diagnosis.plausibility import other_joints
     from equimus_ctrl.engines.choice import engine_for
+    from equimus_ctrl.errors import ConfigError, unknown_name
 
     known = chosen.read(paths)
     _refuse_limits_of_others(known, command_low, command_high)
@@ -168,8 +170,12 @@ def check(
         warnings.simplefilter("always", recordings.RecordingWarning)
         if known.robot.traits.commands_are_pressures:
             trials = recordings.read_set(paths, limits=limits, mapping=workflow.mapping_of(mapping))
+            there = list(dict.fromkeys(joint for trial in trials for joint in trial.joints))
+            for joint in rotating or ():
+                if joint not in there:
+                    raise ConfigError(unknown_name("joint", joint, there, "--rotating"))
         else:
-            trials = tuple(workflow.gather(paths, known, mapping))
+            trials = tuple(workflow.gather(paths, known, mapping, rotating or ()))
     plausibility_warnings = list(dict.fromkeys(str(warning.message) for warning in caught))
     summaries = [recordings.summarise(trial) for trial in trials]
     console = people()

@@ -80,9 +80,17 @@ def run(
     view_web: Annotated[
         bool,
         typer.Option(
-            "--view-web", help="The same in a browser. The page is open to all who reach the port, without a password."
+            "--view-web", help="The same in a browser. Who is on this computer reaches the page, without a password."
         ),
     ] = False,
+    view_web_host: Annotated[
+        str | None,
+        typer.Option(
+            "--view-web-host",
+            metavar="ADDRESS",
+            help="Interface that serves the page; 0.0.0.0 for all: then it is open to the network, without a password.",
+        ),
+    ] = None,
     force: Force = False,
     figures: Figures = True,
     as_json: Json = False,
@@ -114,11 +122,13 @@ def run(
 
         if said := check_video(video, force):
             console.print(said, markup=False, soft_wrap=True)
-    how = None
+    how, host = None, ""
     if view or view_web:
-        from equimus_ctrl.report.viewing import check_viewer
+        from equimus_ctrl.report.viewing import HOST, check_host, check_viewer
 
-        how = check_viewer(view_web)
+        how, host = check_viewer(view_web), check_host(view_web_host or HOST)
+    elif view_web_host is not None:
+        raise ConfigError("--view-web-host is for --view-web alone, or --view where there is no screen")
     results = outputs.Results(output, force, presets.workspace() / "results" / "run")
     if record is not None:
         presets.check_folder(record)
@@ -208,7 +218,7 @@ def run(
 
         shown_run = shown_of(done.run, done.model, done.scenario.recorded)
         console.print(f"the viewer shows this run; the ghost is {shown_run.ghost}", markup=False, soft_wrap=True)
-        look(shown_run, how)
+        look(shown_run, how, host)
 
 
 def own_folder(scenario: str, controller: str) -> Path:

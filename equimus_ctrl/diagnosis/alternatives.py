@@ -11,8 +11,8 @@ import numpy as np
 from equimus_ctrl.diagnosis.fitting import Fitted
 from equimus_ctrl.diagnosis.hypothesis import Candidate, Hypothesis, Part
 from equimus_ctrl.diagnosis.hypothesis_moves import HypothesisMoves
-from equimus_ctrl.diagnosis.policy import Thresholds
 from equimus_ctrl.diagnosis.search_state import SearchHistory, SearchState
+from equimus_ctrl.diagnosis.thresholds import Thresholds
 from equimus_ctrl.identification.parameters import in_group
 
 Kind = tuple[str, tuple[str, ...]]

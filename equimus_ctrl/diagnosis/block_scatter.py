@@ -27,7 +27,7 @@ import numpy as np
 from scipy.special import chdtri, fdtri
 
 from equimus_ctrl.diagnosis.fitting import Fitted
-from equimus_ctrl.diagnosis.policy import Thresholds
+from equimus_ctrl.diagnosis.thresholds import Thresholds
 from equimus_ctrl.identification.noise import whiten
 from equimus_ctrl.types import Array
 

@@ -19,10 +19,10 @@ from equimus_ctrl.diagnosis.fitting import Fitted
 from equimus_ctrl.diagnosis.holdout import Split
 from equimus_ctrl.diagnosis.holdout_residuals import HoldoutResiduals
 from equimus_ctrl.diagnosis.hypothesis_moves import HypothesisMoves
-from equimus_ctrl.diagnosis.policy import Thresholds
 from equimus_ctrl.diagnosis.scoring import extra_parameters
 from equimus_ctrl.diagnosis.search import Search
 from equimus_ctrl.diagnosis.search_state import SearchState, Undecided
+from equimus_ctrl.diagnosis.thresholds import Thresholds
 from equimus_ctrl.diagnosis.torque_agreement import share_in_torques
 
 Reason = Literal["gain", "distance", "evident", "uninformative", "worse", "scatter", "torques"]

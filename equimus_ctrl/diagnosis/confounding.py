@@ -12,8 +12,8 @@ import numpy as np
 from equimus_ctrl.diagnosis.explained_variance import explained
 from equimus_ctrl.diagnosis.force_basis import ForceFamily
 from equimus_ctrl.diagnosis.hypothesis import Hypothesis, Part
-from equimus_ctrl.diagnosis.policy import Thresholds
 from equimus_ctrl.diagnosis.residual_force import LinearisedFit, judged
+from equimus_ctrl.diagnosis.thresholds import Thresholds
 from equimus_ctrl.identification.projection import Nuisance
 from equimus_ctrl.types import Array
 

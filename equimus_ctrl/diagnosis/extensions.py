@@ -12,13 +12,13 @@ import numpy as np
 from equimus_ctrl import computer
 from equimus_ctrl.diagnosis.fitting import CONVERGED_GAIN, Data, Fitted
 from equimus_ctrl.diagnosis.group_splits import own_in_each_group, splits_by_group
+from equimus_ctrl.diagnosis.guessed_changes import ESTIMATED, WHITE
 from equimus_ctrl.diagnosis.holdout import Split
 from equimus_ctrl.diagnosis.holdout_residuals import HoldoutResiduals
 from equimus_ctrl.diagnosis.hypothesis import Candidate, Hypothesis, Part
-from equimus_ctrl.diagnosis.policy import Thresholds
 from equimus_ctrl.diagnosis.richer_laws import richer
 from equimus_ctrl.diagnosis.scoring import Scoring, extra_parameters
-from equimus_ctrl.diagnosis.screening import ESTIMATED, WHITE, Screened, screen
+from equimus_ctrl.diagnosis.screening import Screened, screen
 from equimus_ctrl.diagnosis.search_state import (
     Choice,
     Extended,
@@ -28,6 +28,7 @@ from equimus_ctrl.diagnosis.search_state import (
     SearchState,
     no_rival,
 )
+from equimus_ctrl.diagnosis.thresholds import Thresholds
 from equimus_ctrl.diagnosis.torque_agreement import shown_in_torques
 from equimus_ctrl.diagnosis.torque_screening import TorqueDomain, torque_domain
 from equimus_ctrl.diagnosis.torque_start import worth_simulating

@@ -13,10 +13,10 @@ from scipy.special import chdtrc, chdtri
 from equimus_ctrl.diagnosis.alternatives import in_place, replacement
 from equimus_ctrl.diagnosis.curved_intervals import curved_ends
 from equimus_ctrl.diagnosis.fitting import Data, Fitted
+from equimus_ctrl.diagnosis.guessed_changes import ESTIMATED
 from equimus_ctrl.diagnosis.holdout import Split
 from equimus_ctrl.diagnosis.holdout_residuals import HoldoutResiduals
 from equimus_ctrl.diagnosis.hypothesis import Candidate, Part
-from equimus_ctrl.diagnosis.policy import Thresholds
 from equimus_ctrl.diagnosis.results import (
     Detectable,
     Equivalent,
@@ -27,9 +27,10 @@ from equimus_ctrl.diagnosis.results import (
     Ranked,
     Verdict,
 )
-from equimus_ctrl.diagnosis.screening import ESTIMATED, Screened
+from equimus_ctrl.diagnosis.screening import Screened
 from equimus_ctrl.diagnosis.search import Search
 from equimus_ctrl.diagnosis.search_state import SearchHistory, SearchState
+from equimus_ctrl.diagnosis.thresholds import Thresholds
 from equimus_ctrl.identification.fit import FitSettings
 from equimus_ctrl.identification.parameters import in_group, place_unit
 from equimus_ctrl.identification.results import zeros_sentence

@@ -15,7 +15,8 @@ from scipy.special import chdtri
 from equimus_ctrl import computer
 from equimus_ctrl.diagnosis.budget import Budget
 from equimus_ctrl.diagnosis.hypothesis import Candidate, Hypothesis, Part, parameters_of, refined
-from equimus_ctrl.diagnosis.policy import SearchPolicy, Thresholds
+from equimus_ctrl.diagnosis.policy import SearchPolicy
+from equimus_ctrl.diagnosis.thresholds import Thresholds
 from equimus_ctrl.errors import SimulationDiverged
 from equimus_ctrl.identification.fit import Begin, Fit, FitSettings, fit
 from equimus_ctrl.identification.noise import (

@@ -77,7 +77,7 @@ _ROWS: Mapping[str, tuple[Row, ...]] = {
         ("SHORTEST", 1 / 16, "looked at", "convention", "of the XML's step, the shortest one that is asked"),
         ("NOISELESS", 1e-4, "looked at", "convention", "noise, of the motion, below which laws with states are asked"),
     ),
-    "diagnosis.preflight": (
+    "diagnosis.plausibility": (
         (
             "UNLIKE",
             0.5,
@@ -233,15 +233,19 @@ _ROWS: Mapping[str, tuple[Row, ...]] = {
         ("LEAST_WAY", 1e-3, "looked at", "convention", "a point that moves less hardly moves [m]"),
         ("EDGE", 0.01, "looked at", "convention", "samples beyond what a coordinate covers"),
     ),
-    "diagnosis.screening": (
+    "diagnosis.moved_parameters": (
         ("LOOKS", 3, "looked at", "theory", "Newton steps of a guess that parameters nearly cancel"),
         ("STRONG", 0.03, "looked at", "convention", "directions along which parameters are moved then"),
+    ),
+    "diagnosis.guessed_changes": (
         ("LEAST", 0.3, "looked at", "convention", "guesses are rescaled by no less"),
         ("MOST", 3.0, "looked at", "convention", "and by no more"),
-        ("SHORTER", (0.5, 0.25), "looked at", "convention", "shares of a first-order change at which fits begin too"),
-        ("WEAK", 1e-8, "arithmetic", "theory", "directions that are not changed at all"),
         ("WHITE", 0, "arithmetic", "theory", "the place of a whitening"),
         ("ESTIMATED", 1, "arithmetic", "theory", "the place of the other"),
+    ),
+    "diagnosis.screening": (
+        ("SHORTER", (0.5, 0.25), "looked at", "convention", "shares of a first-order change at which fits begin too"),
+        ("WEAK", 1e-8, "arithmetic", "theory", "directions that are not changed at all"),
     ),
     "diagnosis.groups": (("TRIED", 3, "looked at", "convention", "values of groups that are fitted in a round"),),
     "diagnosis.policy": (("PATIENCE", 1, "looked at", "convention", "rounds that a residual force may outdo"),),

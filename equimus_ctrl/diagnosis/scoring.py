@@ -11,7 +11,8 @@ from scipy.special import chdtri
 from equimus_ctrl.diagnosis.block_scatter import BlockScatter, block_scatter, stands_out
 from equimus_ctrl.diagnosis.fitting import Data, Fitted
 from equimus_ctrl.diagnosis.hypothesis import Candidate
-from equimus_ctrl.diagnosis.policy import SearchSettings, Thresholds
+from equimus_ctrl.diagnosis.policy import SearchSettings
+from equimus_ctrl.diagnosis.thresholds import Thresholds
 
 
 def extra_parameters(simple: Fitted, rich: Fitted) -> int:

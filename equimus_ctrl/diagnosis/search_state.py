@@ -9,8 +9,8 @@ from typing import Literal
 
 from equimus_ctrl.diagnosis.fitting import Fitted
 from equimus_ctrl.diagnosis.hypothesis import Candidate, Hypothesis, Part
-from equimus_ctrl.diagnosis.policy import Thresholds
 from equimus_ctrl.diagnosis.screening import Screened
+from equimus_ctrl.diagnosis.thresholds import Thresholds
 from equimus_ctrl.identification.fit import Begin
 
 Outdone = Literal[

@@ -25,7 +25,7 @@ from functools import cached_property
 import numpy as np
 
 from equimus_ctrl.diagnosis.hypothesis import default_free_parameters
-from equimus_ctrl.diagnosis.preflight import LONG_ENOUGH, UNIT
+from equimus_ctrl.diagnosis.plausibility import LONG_ENOUGH, UNIT
 from equimus_ctrl.engines.mjcf_inverse import InverseDynamics, MeasuredMotion, inverse_dynamics, motions_of
 from equimus_ctrl.identification.noise import noise_of_differences
 from equimus_ctrl.identification.parameters import FreeParameters
@@ -119,8 +119,8 @@ class _Rows:
 def servo_gains(model: Model, segments: Sequence[Segment]) -> tuple[ServoGain, ...]:
     """Stiffnesses of a robot's position servos, where they are far from what the model says; none where they are not.
 
-    Far is a factor of ``preflight.UNIT``. They decide what is free, so nothing that is held out may be among them, see
-    ``holdout.never_held_out``.
+    Far is a factor of ``plausibility.UNIT``. They decide what is free, so nothing that is held out may be among them,
+    see ``holdout.never_held_out``.
 
     Args:
         model: of any robot.

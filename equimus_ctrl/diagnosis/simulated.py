@@ -26,9 +26,9 @@ from scipy.special import chdtri
 
 from equimus_ctrl.diagnosis.fitting import Data, Fitted
 from equimus_ctrl.diagnosis.holdout import Split
-from equimus_ctrl.diagnosis.policy import Thresholds
 from equimus_ctrl.diagnosis.search import Search
 from equimus_ctrl.diagnosis.search_state import SearchHistory, SearchState
+from equimus_ctrl.diagnosis.thresholds import Thresholds
 from equimus_ctrl.engines.base import Engine
 from equimus_ctrl.engines.choice import MujocoEngine, simulation_of
 from equimus_ctrl.errors import SimulationDiverged

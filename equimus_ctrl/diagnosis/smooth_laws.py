@@ -30,10 +30,10 @@ from equimus_ctrl.diagnosis.holdout_residuals import HoldoutResiduals
 from equimus_ctrl.diagnosis.hypothesis import Candidate, Part
 from equimus_ctrl.diagnosis.localization import speeds
 from equimus_ctrl.diagnosis.place_excitation import excitation_of
-from equimus_ctrl.diagnosis.policy import Thresholds
 from equimus_ctrl.diagnosis.residuals import ResidualForce, Unexplained
 from equimus_ctrl.diagnosis.search import Search
 from equimus_ctrl.diagnosis.search_state import SearchState
+from equimus_ctrl.diagnosis.thresholds import Thresholds
 from equimus_ctrl.diagnosis.torque_agreement import more_beside
 from equimus_ctrl.diagnosis.torque_screening import CORRELATED, torque_screen
 from equimus_ctrl.diagnosis.unexplained import GENERALISED, ResidualAnalysis, residual_analysis

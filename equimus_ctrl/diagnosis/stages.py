@@ -29,7 +29,6 @@ from equimus_ctrl.diagnosis.holdout_residuals import HoldoutResiduals
 from equimus_ctrl.diagnosis.hypothesis import Candidate, Part
 from equimus_ctrl.diagnosis.initial_states import NAME as INITIAL_STATES
 from equimus_ctrl.diagnosis.initial_states import free_initial_states
-from equimus_ctrl.diagnosis.policy import Thresholds
 from equimus_ctrl.diagnosis.refit import nominal_residuals, refit
 from equimus_ctrl.diagnosis.residuals import ResidualAboveNoise, Unexplained
 from equimus_ctrl.diagnosis.results import CONFIRMATION, Equivalent
@@ -37,6 +36,7 @@ from equimus_ctrl.diagnosis.search_stage import find_effects
 from equimus_ctrl.diagnosis.search_state import SearchState
 from equimus_ctrl.diagnosis.smooth_laws import analysed, analysed_without, without_redundant
 from equimus_ctrl.diagnosis.state import DiagnosisInputs, State
+from equimus_ctrl.diagnosis.thresholds import Thresholds
 from equimus_ctrl.diagnosis.unexplained import not_confirmed
 from equimus_ctrl.diagnosis.unit_stages import compare_units, still_apart, tell_apart
 from equimus_ctrl.errors import SimulationDiverged

@@ -10,10 +10,11 @@ from equimus_ctrl.diagnosis.differences import AnotherUnit, Difference
 from equimus_ctrl.diagnosis.experiment import Designs
 from equimus_ctrl.diagnosis.fitting import Data, Fitted
 from equimus_ctrl.diagnosis.holdout import Split
-from equimus_ctrl.diagnosis.policy import SearchSettings, Thresholds
+from equimus_ctrl.diagnosis.policy import SearchSettings
 from equimus_ctrl.diagnosis.results import Decision, Equivalent, Named, Ranked, Rejected
 from equimus_ctrl.diagnosis.search import Search
 from equimus_ctrl.diagnosis.search_state import SearchState
+from equimus_ctrl.diagnosis.thresholds import Thresholds
 from equimus_ctrl.diagnosis.unexplained import ResidualAnalysis
 from equimus_ctrl.engines.base import EngineName
 from equimus_ctrl.models.model import Model

@@ -17,9 +17,9 @@ from equimus_ctrl.diagnosis.hypothesis import Hypothesis, Part
 from equimus_ctrl.diagnosis.localization import excess_variances
 from equimus_ctrl.diagnosis.noise_size import noise_sizes
 from equimus_ctrl.diagnosis.place_excitation import excitation_of
-from equimus_ctrl.diagnosis.policy import Thresholds
 from equimus_ctrl.diagnosis.residual_force import ForceCandidate, LinearisedFit, force_candidates, judged, linearise_fit
 from equimus_ctrl.diagnosis.residuals import ResidualAboveNoise, ResidualForce, Unexplained
+from equimus_ctrl.diagnosis.thresholds import Thresholds
 from equimus_ctrl.errors import SimulationDiverged
 from equimus_ctrl.identification.parameters import place_unit
 from equimus_ctrl.identification.projection import Nuisance

@@ -72,6 +72,15 @@ class Call:
         return hashlib.sha256(self.work).hexdigest()
 
 
+def cannot_be_sent(thing: Any) -> str | None:
+    """Why something cannot be given to another process; None where it can."""
+    try:
+        cloudpickle.dumps(thing)
+    except Exception as error:  # whatever a user's own object raises
+        return one_line(f"{type(error).__name__}: {error}")
+    return None
+
+
 _prepared: set[bytes] = set()
 _kept: OrderedDict[str, Any] = OrderedDict()
 

@@ -13,7 +13,7 @@ import threading
 import time
 import uuid
 import warnings
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import CancelledError, Future
 from contextlib import contextmanager, suppress
 from typing import TYPE_CHECKING, Any
@@ -42,11 +42,13 @@ class OnDask(Executor):
 
     Args:
         client: connected.
+        address: of the scheduler, for messages.
         prepare: see ``Prepare``.
     """
 
-    def __init__(self, client: Client, prepare: Prepare | None = None) -> None:
+    def __init__(self, client: Client, address: str, prepare: Prepare | None = None) -> None:
         super().__init__(prepare)
+        self._address, self._mixed = address, False
         self._client, self._pool = client, client.get_executor(pure=False)
         self._session = uuid.uuid4().hex
         self._count, self._counted = 0, -COUNTED_EVERY
@@ -60,7 +62,17 @@ class OnDask(Executor):
         return max(self._count, 1)
 
     def _give(self, call: Call) -> Future[bytes]:
-        return _told(self._pool.submit(_do, self._session, pickle.dumps(call)))
+        return _told(self._pool.submit(_do_here, self._session, pickle.dumps(call)), self.compare)
+
+    def compare(self, processors: Mapping[str, Mapping[str, str]]) -> None:
+        """Warn, once, where a worker has another kind of processor than this computer, also one that joined later.
+
+        Args:
+            processors: worker → its ``processor()``.
+        """
+        if not self._mixed:
+            named = {f"{self._address}: worker {worker}": own for worker, own in sorted(processors.items())}
+            self._mixed = warn_of_mix(named)
 
     def close(self) -> None:
         """Have the workers end the processes that did this work, and take leave."""
@@ -70,17 +82,26 @@ class OnDask(Executor):
             self._client.close(timeout=ANSWERS_WITHIN)
 
 
-def _told(given: Future[bytes]) -> Future[bytes]:
-    """The same, with what goes wrong in Dask in the words of an executor."""
+def _told(
+    given: Future[tuple[bytes, str, Mapping[str, str]]], seen: Callable[[Mapping[str, Mapping[str, str]]], None]
+) -> Future[bytes]:
+    """What a piece comes to alone, with what goes wrong in Dask in the words of an executor.
+
+    Args:
+        given: the piece, as ``_do_here`` does it.
+        seen: told the worker that has done it, and its processor.
+    """
     from distributed.scheduler import KilledWorker
 
     told: Future[bytes] = Future()
 
-    def tell(done: Future[bytes]) -> None:
+    def tell(done: Future[tuple[bytes, str, Mapping[str, str]]]) -> None:
         if told.cancelled():
             return
         try:
-            told.set_result(done.result())
+            found, worker, own = done.result()
+            seen({worker: own})
+            told.set_result(found)
         except KilledWorker as error:
             told.set_exception(Ended(f"took {error.allowed_failures + 1} workers with it, one after the other"))
         except CancelledError:
@@ -97,7 +118,7 @@ def _told(given: Future[bytes]) -> Future[bytes]:
 
 @contextmanager
 def on_dask(address: str, prepare: Prepare | None = None) -> Iterator[OnDask]:
-    """The workers of a scheduler; all of them are looked at first.
+    """The workers of a scheduler; all of them are looked at first, and who joins later at the first piece that it does.
 
     Args:
         address: such as ``tcp://head:8786``.
@@ -108,9 +129,9 @@ def on_dask(address: str, prepare: Prepare | None = None) -> Iterator[OnDask]:
             the program, Python or a library; ``Gone`` where the scheduler goes away while it works.
     """
     client = _client(address)
-    executor = OnDask(client, prepare)
+    executor = OnDask(client, address, prepare)
     try:
-        _look_at(client, address)
+        executor.compare(_look_at(client, address))
         yield executor
     finally:
         executor.close()
@@ -140,8 +161,8 @@ def _client(address: str) -> Client:
         raise NotAvailable(f"{address}: is no address of a Dask scheduler ({one_line(str(error))})") from None
 
 
-def _look_at(client: Client, address: str) -> None:
-    """Raise NotAvailable where there is no worker, or one that cannot do the same work."""
+def _look_at(client: Client, address: str) -> dict[str, Mapping[str, str]]:
+    """Worker → its processor; raise NotAvailable where there is no worker, or one that cannot do the same work."""
     try:
         client.wait_for_workers(1, timeout=ANSWERS_WITHIN)
     except TimeoutError:
@@ -157,14 +178,20 @@ def _look_at(client: Client, address: str) -> None:
         else:
             continue
         raise NotAvailable(f"{address}: worker {worker} {why}; expected what is installed here on every worker")
-    found = client.run(processor, on_error="ignore")
-    warn_of_mix({f"{address}: worker {worker}": own for worker, own in sorted(found.items())})
+    return dict(client.run(processor, on_error="ignore"))
 
 
 # --- on a worker
 
 _idle: dict[tuple[str, int], tuple[Child, threading.Timer]] = {}
 """Session and thread → the process that waits for its next piece that needs none of its own, and what will end it."""
+
+
+def _do_here(session: str, given: bytes) -> tuple[bytes, str, Mapping[str, str]]:
+    """What a piece of work comes to, the address of the worker that does it, and its ``processor()``."""
+    from distributed import get_worker
+
+    return _do(session, given), str(get_worker().address), processor()
 
 
 def _do(session: str, given: bytes) -> bytes:

@@ -29,7 +29,7 @@ from equimus_ctrl.executors.spool import (
     work_as_job,
     write,
 )
-from equimus_ctrl.executors.versions import mismatch, processor, warn_of_mix
+from equimus_ctrl.executors.versions import warn_of_mix
 
 SHOWN_EVERY = 5.0
 """How often jobs are looked at, and the client shows that it is there [s]."""
@@ -225,9 +225,8 @@ class OnSlurm(Executor):
             with others_rename():
                 found[f"job {path.name}"] = json.loads(path.read_bytes())
                 path.unlink(missing_ok=True)
-        if not self._mixed and any(mismatch(own, processor()) for own in found.values()):
-            self._mixed = True
-            warn_of_mix(found)
+        if not self._mixed:
+            self._mixed = warn_of_mix(found)
 
     def _submit(self, count: int) -> None:
         # One array in place of many jobs.

@@ -68,8 +68,8 @@ def _numbas() -> str:
     return str(getattr(config, "CPU_NAME", None) or get_host_cpu_name())
 
 
-def warn_of_mix(others: Mapping[str, Mapping[str, str]], own: Mapping[str, str] | None = None) -> None:
-    """Warn where another processor than here does some of the work.
+def warn_of_mix(others: Mapping[str, Mapping[str, str]], own: Mapping[str, str] | None = None) -> bool:
+    """Warn where another processor than here does some of the work, and tell whether it does.
 
     Args:
         others: who → its ``processor()``.
@@ -82,7 +82,8 @@ def warn_of_mix(others: Mapping[str, Mapping[str, str]], own: Mapping[str, str] 
                 f"{who} has another processor ({other}): the last bits of what it computes may differ", OtherProcessor,
                 stacklevel=2,
             )  # fmt: skip
-            return
+            return True
+    return False
 
 
 def mismatch(other: Mapping[str, str], own: Mapping[str, str] | None = None) -> str | None:

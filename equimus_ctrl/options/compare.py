@@ -8,7 +8,17 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from equimus_ctrl.options.fields import NAMES, at_least, counted, set_of, settings_of
+from equimus_ctrl.options.fields import (
+    NAMES,
+    at_least,
+    check_where,
+    counted,
+    scheduler_option,
+    set_of,
+    settings_of,
+    slurm_option,
+    workers_option,
+)
 from equimus_ctrl.options.offers import option
 
 if TYPE_CHECKING:
@@ -30,6 +40,10 @@ class CompareOptions:
         settings: controller → its settings file.
         seed: of noise and perturbed robots.
         recordings: folder to look for recordings in.
+        workers: processes at a time, one a processor by default. Runs beside each other share the computer's memory and
+            clock rate: times of steps are shortest with one.
+        scheduler: address of a Dask cluster that does the runs in their place.
+        slurm: file that says how jobs of a Slurm cluster are asked for, which do them in their place.
 
     Raises:
         ConfigError: for a value that cannot be.
@@ -61,7 +75,14 @@ class CompareOptions:
         None, Path | None, "Folder with recordings; $EQUIMUS_RECORDINGS by default.", metavar="DIR"
     )
 
+    workers: int | None = workers_option(
+        "Runs at a time, each in a process; one a processor by default. With 1, nothing disturbs the times of steps."
+    )
+    scheduler: str | None = scheduler_option()
+    slurm: Path | None = slurm_option()
+
     def __post_init__(self) -> None:
         """Check the values."""
+        check_where(self.workers, self.scheduler, self.slurm)
         counted("draws", self.draws)
         at_least("seed", self.seed, 0)

@@ -1,4 +1,4 @@
-"""The thresholds by which recordings are judged: meaning, unit and origin of each, as in ``diagnosis.policy``."""
+"""The thresholds by which recordings are judged: meaning, unit and origin of each, as in ``diagnosis.thresholds``."""
 
 from __future__ import annotations
 

@@ -19,6 +19,7 @@ import numpy as np
 
 from equimus_ctrl.errors import RecordingError, needs
 from equimus_ctrl.recordings.assemble import elements
+from equimus_ctrl.recordings.csvfile import columns
 from equimus_ctrl.recordings.exported import Exported
 from equimus_ctrl.recordings.logs import Loaded, Log, Table, Wanted, reading, stem
 from equimus_ctrl.recordings.mapping import Mapping as ColumnMapping
@@ -226,11 +227,19 @@ def write_bag(path: Path, trial: Exported) -> None:
         raise needs("rosbags", "logs", "writing bags") from None
     store, recording = get_typestore(Stores.ROS2_HUMBLE), trial.recording
     kinds, none = store.types, np.empty(0)
-    velocity = recording.velocity if recording.velocity is not None else np.empty((len(recording.time), 0))
-    states = {"/joint_states": (recording.position, velocity)}
+    measured = dict(columns(recording))
+    seen = [column.removeprefix("pos.") for column in measured if column.startswith("pos.")]
+    silent = np.full(len(recording.time), np.nan)  # a message has the velocities of all joints or of none
+    rates = [measured.get(f"vel.{name}", silent) for name in seen if any(c.startswith("vel.") for c in measured)]
+    nothing = np.empty((len(recording.time), 0))
+    states = {
+        "/joint_states": (
+            seen, np.column_stack([measured[f"pos.{name}"] for name in seen]), np.column_stack([nothing, *rates])
+        )
+    }  # fmt: skip
     for own in trial.predictions:
         for what, block in (("position", own.position), ("residual", recording.position - own.position)):
-            states[f"/{own.model}/{what}"] = (block, velocity[:, :0])
+            states[f"/{own.model}/{what}"] = (list(recording.joints), block, nothing)
     count = len(recording.actuators)  # an array does not say what its numbers are, so its layout does
     labels = kinds["std_msgs/msg/MultiArrayDimension"](",".join(recording.actuators), count, count)
     layout = kinds["std_msgs/msg/MultiArrayLayout"](dim=[labels], data_offset=0)
@@ -246,8 +255,8 @@ def write_bag(path: Path, trial: Exported) -> None:
                 header = kinds["std_msgs/msg/Header"](stamp, "")
                 numbers = kinds[ARRAY](layout, np.array(recording.command[k]))
                 writer.write(sent, at, bytes(store.serialize_cdr(numbers, ARRAY)))
-                for name, (block, rates) in states.items():
-                    message = kinds[STATE](header, list(recording.joints), np.array(block[k]), np.array(rates[k]), none)
+                for name, (joints, block, speeds) in states.items():
+                    message = kinds[STATE](header, joints, np.array(block[k]), np.array(speeds[k]), none)
                     writer.write(topics[name], at, bytes(store.serialize_cdr(message, STATE)))
         os.replace(half / path.name, path)
     except OSError as error:

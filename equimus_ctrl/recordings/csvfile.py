@@ -246,7 +246,10 @@ def columns(recording: Recording) -> Iterator[tuple[str, Array]]:
         ("meas", [recording.actuators[i] for i in recording.force_columns], _sensed(recording)),
     ):
         if block is not None:
-            yield from ((f"{prefix}.{name}", block[:, k]) for k, name in enumerate(names))
+            for k, name in enumerate(names):
+                if prefix != "vel" or not np.isnan(block[:, k]).all():
+                    yield f"{prefix}.{name}", block[:, k]
+    yield from recording.inputs.items()
     yield from ((f"{SITE}{name}", values) for name, values in recording.sites.items())
 
 

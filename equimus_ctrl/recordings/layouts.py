@@ -29,7 +29,7 @@ class Plot:
 
 
 def plots(trial: Exported) -> list[Plot]:
-    """The plots of a trial: each joint as measured and predicted, each joint's residuals, and the commands."""
+    """The plots of a trial: each joint as measured and predicted, its residuals, what is prescribed, and commands."""
     series = {topic.removeprefix(f"{trial.folder}/"): (topic, columns) for topic, columns, _ in trial.series()}
     found: list[Plot] = []
     for what, title in (("position", "{}"), ("residual", "{}: measured − predicted")):
@@ -38,6 +38,9 @@ def plots(trial: Exported) -> list[Plot]:
             curves = tuple((topic, joint, group.partition("/")[0]) for group, topic, own in shown if joint in own)
             if curves:
                 found.append(Plot(title.format(joint), curves))
+    topic, columns = series["measured/position"]
+    if given := [name for name in columns if name not in trial.recording.joints]:
+        found.append(Plot("prescribed", tuple((topic, name, name) for name in given)))
     for group, title in (("command", "commands"), ("measured/actuator", "measured at actuators")):
         if group in series:
             topic, columns = series[group]

@@ -16,7 +16,8 @@ from equimus_ctrl.report import style
 from equimus_ctrl.report.error_panel import error_limits
 from equimus_ctrl.robots.reading import reading
 from equimus_ctrl.tuning.autotune import unseen_problem
-from equimus_ctrl.tuning.objective import Evaluation, Problem
+from equimus_ctrl.tuning.evaluation import Evaluation
+from equimus_ctrl.tuning.objective import Problem
 from equimus_ctrl.tuning.plant_tuning import PlantTuning
 from equimus_ctrl.tuning.result import TuningResult
 from equimus_ctrl.tuning.study import Study

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import os
+import socket
 import sys
 from dataclasses import dataclass, replace
 from functools import partial
@@ -12,7 +13,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from equimus_ctrl.errors import EquimusError, NotAvailable, one_line
+from equimus_ctrl.errors import ConfigError, EquimusError, NotAvailable, one_line
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.report.film import make_film
 from equimus_ctrl.report.film_frames import seen_robot
@@ -20,6 +21,8 @@ from equimus_ctrl.scenarios.scoring import on_grid
 from equimus_ctrl.types import Array, Recording, Run
 
 FPS = 60.0
+HOST = "127.0.0.1"
+"""Where a page is served: to this computer alone."""
 SIZE = (1200, 800)
 LOOKED_AT = 50
 """Poses that the camera is chosen by."""
@@ -115,6 +118,27 @@ def check_viewer(web: bool = False) -> str:
     return "web" if web or not screen else ""
 
 
+def check_host(host: str) -> str:
+    """The address of an interface of this computer.
+
+    Args:
+        host: its address, or a name of it.
+
+    Raises:
+        ConfigError: where nothing can be served there.
+    """
+    try:
+        family, kind, protocol, _, place = socket.getaddrinfo(host, 0, type=socket.SOCK_STREAM)[0]
+        with socket.socket(family, kind, protocol) as own:
+            own.bind(place)
+    except (OSError, UnicodeError) as error:
+        raise ConfigError(
+            f"--view-web-host is {host!r}, which is no address of this computer ({one_line(str(error))}); expected "
+            f"one, such as {HOST}, or 0.0.0.0 for all of them"
+        ) from None
+    return str(place[0])
+
+
 def put(shown: Shown, data: Any, at: float) -> None:
     """Put the robot and its ghost where they are so long after the beginning [s], which begins anew at the end."""
     length = float(shown.time[-1] - shown.time[0]) + 1 / FPS
@@ -122,7 +146,7 @@ def put(shown: Shown, data: Any, at: float) -> None:
     data.qpos[:], data.qvel[:], data.time = shown.qpos[k], 0.0, shown.time[k]
 
 
-def view(shown: Shown, how: str) -> None:
+def view(shown: Shown, how: str, host: str = HOST) -> None:
     """Open MuJoCo's viewer, and return when it is closed or Ctrl-C is pressed.
 
     What it prints goes to standard error.
@@ -130,11 +154,12 @@ def view(shown: Shown, how: str) -> None:
     Args:
         shown: what is seen.
         how: see ``check_viewer``.
+        host: address of the interface on which a page is served, see ``check_host``.
 
     Raises:
         NotAvailable: where it cannot be opened.
     """
-    from mujoco.studio import app, launch_passive, viewer_protocol
+    from mujoco.studio import app, launch_passive, viewer_handle, viewer_protocol
 
     from equimus_ctrl.report.viewer_plugin import Playback
 
@@ -144,7 +169,14 @@ def view(shown: Shown, how: str) -> None:
     plugins = [app.App(), Playback(partial(put, shown))]
     try:
         with contextlib.redirect_stdout(sys.stderr):
-            launch_passive.run(config, model=shown.model, data=data, plugins=plugins)
+            if how == "web":
+                from equimus_ctrl.report.viewer_page import launch_page
+
+                with launch_page(config, plugins, host) as handle:
+                    handle.set_model(shown.model, data=data)
+                    viewer_handle.run_sim_loop(handle)
+            else:
+                launch_passive.run(config, model=shown.model, data=data, plugins=plugins)
     except EquimusError:
         raise
     except Exception as error:

@@ -27,7 +27,8 @@ from equimus_ctrl.plants.mujoco_plant import MujocoPlant, PlantRates
 from equimus_ctrl.scenarios.references import SampledReference
 from equimus_ctrl.scenarios.scenario import Scenario
 from equimus_ctrl.tuning.ensemble import Member, make_ensemble, most_lateness
-from equimus_ctrl.tuning.objective import Evaluation, Problem, make_task
+from equimus_ctrl.tuning.evaluation import Evaluation
+from equimus_ctrl.tuning.objective import Problem, make_task
 from equimus_ctrl.tuning.result import CrossCheck, TuningResult, versions
 from equimus_ctrl.tuning.search import Journal, Search, Trial
 from equimus_ctrl.tuning.stability import Margins, least_margins, margins

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any, Protocol
 
-from equimus_ctrl.tuning.objective import Evaluation
+from equimus_ctrl.tuning.evaluation import Evaluation
 
 
 class Rows(Protocol):

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from equimus_ctrl.robots.base import Robot
 from equimus_ctrl.robots.reading import reading
-from equimus_ctrl.tuning.objective import BAND
+from equimus_ctrl.tuning.evaluation import BAND
 from equimus_ctrl.types import Array, Controller, Observation, PlantSpec, Reference, Run
 
 

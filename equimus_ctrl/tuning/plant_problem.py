@@ -25,7 +25,7 @@ from equimus_ctrl.models.model import Model
 from equimus_ctrl.plants.mujoco_plant import MujocoPlant
 from equimus_ctrl.scenarios.scenario import Scenario
 from equimus_ctrl.tuning.ensemble import later
-from equimus_ctrl.tuning.objective import BAND, TERMS, Evaluation, LegOutcome, Outcome, judged
+from equimus_ctrl.tuning.evaluation import BAND, TERMS, Evaluation, LegOutcome, Outcome, judged
 from equimus_ctrl.tuning.overshoot import ServosAlone, as_hinges, overshoots, servos_of
 from equimus_ctrl.tuning.study import Limits, Weights
 from equimus_ctrl.types import Array, Controller, Run, Start
@@ -267,7 +267,7 @@ class PlantProblem:
         ]  # fmt: skip
 
     def judge(self, outcomes: Mapping[int, LegOutcome]) -> Evaluation:
-        """Of what happened on some robots, by their numbers, see ``tuning.objective.judged``."""
+        """Of what happened on some robots, by their numbers, see ``tuning.evaluation.judged``."""
         numbers = sorted(outcomes)
         paying = [number in self.paying for number in numbers]
         counts = [task.weight for task in self.tasks]

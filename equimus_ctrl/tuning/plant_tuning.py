@@ -21,7 +21,7 @@ from equimus_ctrl.plants.mujoco_plant import MujocoPlant
 from equimus_ctrl.scenarios.scenario import Scenario
 from equimus_ctrl.tuning.autotune import HERE, UNSEEN, best_feasible, source, time_is_up
 from equimus_ctrl.tuning.ensemble import hardest, make_members
-from equimus_ctrl.tuning.objective import Evaluation
+from equimus_ctrl.tuning.evaluation import Evaluation
 from equimus_ctrl.tuning.plant_problem import HARDEST, PlantProblem, PlantTask
 from equimus_ctrl.tuning.result import TuningResult, versions
 from equimus_ctrl.tuning.search import Journal, Search, Trial

@@ -14,7 +14,7 @@ import numpy as np
 from equimus_ctrl.executors.versions import processor
 from equimus_ctrl.models.model import model_to_dict
 from equimus_ctrl.shown import Short
-from equimus_ctrl.tuning.objective import Evaluation
+from equimus_ctrl.tuning.evaluation import Evaluation
 from equimus_ctrl.tuning.search import Trial
 from equimus_ctrl.tuning.stability import Margins
 from equimus_ctrl.tuning.study import AnyStudy

@@ -25,7 +25,7 @@ from scipy.optimize import minimize
 from equimus_ctrl.controllers.search_space import Range
 from equimus_ctrl.models.spread import latin_hypercube
 from equimus_ctrl.shown import Short
-from equimus_ctrl.tuning.objective import Evaluation
+from equimus_ctrl.tuning.evaluation import Evaluation
 from equimus_ctrl.tuning.study import AnyStudy
 from equimus_ctrl.types import Array
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from equimus_ctrl.diagnosis import preflight
+from equimus_ctrl.diagnosis import plausibility
 from equimus_ctrl.diagnosis.budget import Budget
 from equimus_ctrl.effects.base import REGISTRY
 from equimus_ctrl.errors import ConfigError, SimulationDiverged, unknown_name
@@ -118,8 +118,8 @@ def _as_diagnosed(options: CheckOptions) -> DiagnoseOptions:
 def _notes(model: Model, given: Given) -> list[Finding]:
     """What a report of a diagnosis would say of them before anything else."""
     told = {
-        "model": preflight.other_joints(model.robot, given.trials),
-        "quantisation": preflight.coarse_steps(model.robot, given.judged),
+        "model": plausibility.other_joints(model.robot, given.trials),
+        "quantisation": plausibility.coarse_steps(model.robot, given.judged),
     }
     return [Finding("note", about, sentence) for about, own in told.items() for sentence in own]
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -15,6 +16,8 @@ from equimus_ctrl.effects import FirstOrderLag, TransportDelay
 from equimus_ctrl.effects.bodies import BodyEffect, changed_bodies
 from equimus_ctrl.effects.valves import ValveEffect
 from equimus_ctrl.errors import ConfigError, ControllerError, SimulationDiverged, unknown_name
+from equimus_ctrl.executors.calls import cannot_be_sent
+from equimus_ctrl.executors.where import Where
 from equimus_ctrl.loop import run
 from equimus_ctrl.models.model import Model, nominal_model
 from equimus_ctrl.models.spread import groups, latin_hypercube, perturbed
@@ -27,7 +30,9 @@ from equimus_ctrl.scenarios.scoring import ErrorFigures, off_reference, score_ru
 from equimus_ctrl.tuning.ensemble import make_ensemble
 from equimus_ctrl.tuning.study import EnsembleSettings
 from equimus_ctrl.types import Controller
+from equimus_ctrl.workflow.plugins import load_plugins, loaded
 from equimus_ctrl.workflow.runs import load_controller, load_scenario
+from equimus_ctrl.workflow.where import where_of
 
 NOISE = 2e-3
 """Standard deviation of measured positions where there is noise [rad or m]."""
@@ -138,10 +143,12 @@ def compare(
     notify: Callable[[float, str], None] = lambda share, what: None,
     **changes: Any,
 ) -> Comparison:
-    """Drive every controller through every scenario under every condition, one after the other.
+    """Drive every controller through every scenario under every condition.
 
     Every run of a scenario under a condition has the same noise. Errors are of the true angles, over what the scenario
-    scores.
+    scores. Runs are done beside each other by processes, or by a cluster, see ``CompareOptions``; but for times of
+    steps they come to the same wherever they are done. Where what is compared cannot be given to another process, this
+    one does them one after the other.
 
     Args:
         scenarios: names, paths or scenarios.
@@ -182,8 +189,6 @@ def compare(
     strange = sorted(set(settings) - {c for c in controllers if isinstance(c, str)})
     if strange:
         raise ConfigError(f"settings are given for {strange[0]}, which is not compared")
-    entries: list[Entry] = []
-    total = len(built) * len(robots) * len(controllers)
     made = {}
     for scenario in built:
         for controller in controllers:
@@ -192,14 +197,50 @@ def compare(
                 made[scenario.name, _label(controller)] = driven
             else:
                 made[scenario.name, _label(controller)] = as_controller(controller, _label(controller))
-    for scenario in built:
-        for robot in robots:
-            for controller in controllers:
-                label = _label(controller)
-                notify(len(entries) / total, f"{label}, {scenario.name}, {robot.name}")
-                entries.append(_driven(label, made[scenario.name, label], scenario, robot, seed))
-    notify(1.0, "")
-    return Comparison(model, {s.name: s for s in built}, tuple(robots), tuple(entries), seed)
+    runs = [
+        (label, made[scenario.name, label], scenario, robot, seed)
+        for scenario in built
+        for robot in robots
+        for label in map(_label, controllers)
+    ]
+    names = [f"{label}, {scenario.name}, {robot.name}" for label, _, scenario, robot, _ in runs]
+    where = _where(options, [(f"controller {label}", own) for (_, label), own in made.items()], built, robots)
+    prepare = partial(load_plugins, loaded()) if loaded() else None
+    entries: dict[int, Entry] = {}
+    notify(0.0, names[0])
+    with where.opened(len(runs), prepare) as executor:
+        for index, entry in executor.each(_driven, runs):
+            entries[index] = entry
+            # Runs begin in their order, so the first that is left is one of those under way.
+            notify(len(entries) / len(runs), next((name for k, name in enumerate(names) if k not in entries), ""))
+    ordered = tuple(entries[k] for k in range(len(runs)))
+    return Comparison(model, {s.name: s for s in built}, tuple(robots), ordered, seed)
+
+
+def _where(
+    options: CompareOptions,
+    controllers: Sequence[tuple[str, Controller]],
+    scenarios: Sequence[Scenario],
+    robots: Sequence[Condition],
+) -> Where:
+    """Where runs are done: in this process where nothing is said and something cannot be given to another.
+
+    Raises:
+        ConfigError: for what cannot be given to another process that is asked for.
+    """
+    if options.workers == 1:
+        return Where(1)
+    named = [
+        *controllers,
+        *((f"scenario {own.name}", own) for own in scenarios),
+        *((f"condition {own.name}", own) for own in robots),
+    ]
+    for what, own in named:
+        if (why := cannot_be_sent(own)) is not None:
+            if (options.workers, options.scheduler, options.slurm) == (None, None, None):
+                return Where(1)
+            raise ConfigError(f"{what} cannot be given to another process ({why}); expected --workers 1")
+    return where_of(options.workers, options.scheduler, options.slurm)
 
 
 def _label(controller: Any) -> str:

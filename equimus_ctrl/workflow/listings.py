@@ -153,7 +153,7 @@ def _group(side: str, places: Sequence[str]) -> str:
 
 
 def _thresholds() -> list[dict[str, Any]]:
-    from equimus_ctrl.diagnosis.policy import Thresholds
+    from equimus_ctrl.diagnosis.thresholds import Thresholds
     from equimus_ctrl.preflight.limits import CheckLimits
 
     asked = [("diagnosis", t.name, t) for t in Thresholds.listed()]

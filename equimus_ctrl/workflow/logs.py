@@ -101,7 +101,11 @@ def read_recordings(
 
 
 def check_recordings(
-    recordings: Some, model: Model | None = None, mapping: Mapping | Path | str | None = None
+    recordings: Some,
+    model: Model | None = None,
+    mapping: Mapping | Path | str | None = None,
+    *,
+    rotating: Sequence[str] = (),
 ) -> tuple[Summary, ...]:
     """What recordings hold: duration, rate, jitter and ranges of each trial; what is odd is warned of.
 
@@ -111,11 +115,12 @@ def check_recordings(
         recordings: files, folders or trials.
         model: see ``read_recordings``.
         mapping: see ``read_recordings``.
+        rotating: joints that turn without end, so that no angle of theirs is odd.
 
     Raises:
         EquimusError: where one cannot be read.
     """
-    return tuple(summarise(trial) for trial in gather(recordings, model, mapping))
+    return tuple(summarise(trial) for trial in gather(recordings, model, mapping, rotating))
 
 
 def write_recording(

@@ -53,14 +53,20 @@ def load_mjcf(path: Path, source: str | None = None, edits: Edits | None = None)
 
 
 def read_trials(
-    files: Sequence[Path], robot: Robot, mapping: Mapping | Path | str | None = None
+    files: Sequence[Path],
+    robot: Robot,
+    mapping: Mapping | Path | str | None = None,
+    rotating: Sequence[str] = (),
 ) -> tuple[Recording, ...]:
     """Trials of a robot, see ``read_trials_with_files``."""
-    return tuple(trial for _, trial in read_trials_with_files(files, robot, mapping))
+    return tuple(trial for _, trial in read_trials_with_files(files, robot, mapping, rotating))
 
 
 def read_trials_with_files(
-    files: Sequence[Path], robot: Robot, mapping: Mapping | Path | str | None = None
+    files: Sequence[Path],
+    robot: Robot,
+    mapping: Mapping | Path | str | None = None,
+    rotating: Sequence[str] = (),
 ) -> tuple[tuple[Path, Recording], ...]:
     """Trials of a robot, each with the file that it was read from, of any format that is known.
 
@@ -70,11 +76,13 @@ def read_trials_with_files(
         files: they, or folders.
         robot: by whose names columns are found.
         mapping: what the columns of other formats than the project's are, or its file.
+        rotating: hinges that turn without end, so that no angle of theirs is odd.
 
     Raises:
-        EquimusError: where a file cannot be read or lacks one of them.
+        EquimusError: where a file cannot be read or lacks one of them, or what rotates is no hinge of the robot.
     """
-    return tuple((path, as_modelled(trial, robot)) for path, trial in _read(files, robot, mapping_of(mapping)))
+    read = _read(files, robot, mapping_of(mapping), rotating=rotating)
+    return tuple((path, as_modelled(trial, robot)) for path, trial in read)
 
 
 def mapping_of(given: Mapping | Path | str | None) -> Mapping | None:
@@ -130,15 +138,25 @@ def read_recorded(
 
 
 def _read(
-    files: Sequence[Path], robot: Robot, mapping: Mapping | None = None, pressures: Limits = LEG
+    files: Sequence[Path],
+    robot: Robot,
+    mapping: Mapping | None = None,
+    pressures: Limits = LEG,
+    rotating: Sequence[str] = (),
 ) -> tuple[tuple[Path, Recording], ...]:
     """Trials as they were recorded, each with its file."""
     wanted = wanted_of(robot)
     if robot.traits.commands_are_pressures:
-        return read_with_files(files, wanted=wanted, mapping=mapping, limits=pressures)
+        return read_with_files(
+            files, wanted=wanted, mapping=mapping, limits=replace(pressures, rotating=(*pressures.rotating, *rotating))
+        )
     joints, actuators, given = robot.joint_names, robot.actuator_names, robot.prescribed_columns
     columns = [*joints, *(name for name in robot.prescribed_names if name in given)]
-    hinges = [name for name in columns if not robot.slides(name)]
+    every = [name for name in columns if not robot.slides(name)]
+    for name in rotating:
+        if name not in every:
+            raise ConfigError(unknown_name("hinge", name, every, "--rotating"))
+    hinges = [name for name in every if name not in rotating]
     limits = Limits.of_mjcf(joints, actuators, hinges, UNRECORDED, given)
     return read_with_files(
         files, joints=(*joints, *given), actuators=actuators, limits=limits, wanted=wanted, mapping=mapping
@@ -166,6 +184,10 @@ def with_prescribed(trial: Recording, robot: Robot) -> Recording:
         return trial
     given = trial.position[:, [trial.joints.index(name) for name in columns]]
     kept = [j for j, name in enumerate(trial.joints) if name not in columns]
+    inputs = {f"pos.{name}": trial.position[:, trial.joints.index(name)] for name in columns}
+    if trial.velocity is not None:
+        rates = ((name, trial.velocity[:, trial.joints.index(name)]) for name in columns)
+        inputs |= {f"vel.{name}": rate for name, rate in rates if not np.isnan(rate).all()}
     velocity = None if trial.velocity is None else trial.velocity[:, kept]
     if velocity is not None and np.isnan(velocity).all():
         velocity = None  # that of prescribed joints alone was measured
@@ -174,6 +196,7 @@ def with_prescribed(trial: Recording, robot: Robot) -> Recording:
         position=trial.position[:, kept],
         joints=tuple(trial.joints[j] for j in kept),
         velocity=velocity,
+        inputs=inputs,
         prescribed=smoothed(
             trial.name, robot.prescribed_names, trial.time, robot.prescribed_positions(trial.name, given)
         ),

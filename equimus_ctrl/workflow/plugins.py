@@ -51,7 +51,7 @@ def load_plugins(files: Iterable[Path | str]) -> tuple[str, ...]:
                 registry.pop(name, None)
         others = [set(registry) for registry in registries]
         try:
-            presets.load_script(path)
+            presets.load_script(path, sent=False)
             pairs = zip(registries, others, strict=True)
             own = tuple(tuple(name for name in registry if name not in other) for registry, other in pairs)
             if not any(own):

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from equimus_ctrl.diagnosis import preflight
+from equimus_ctrl.diagnosis import plausibility
 from equimus_ctrl.diagnosis.budget import Budget
 from equimus_ctrl.diagnosis.diagnose import DiagnosisSettings
 from equimus_ctrl.diagnosis.holdout import (
@@ -113,6 +113,7 @@ def within(trial: Recording, window: tuple[float, float] | None) -> Recording:
         velocity=None if trial.velocity is None else trial.velocity[rows],
         measured=None if trial.measured is None else trial.measured[rows],
         sites={name: values[rows] for name, values in trial.sites.items()},
+        inputs={name: values[rows] for name, values in trial.inputs.items()},
         before=trial.command[first - 1] if first else trial.before,
     )
 
@@ -122,7 +123,7 @@ def meaningless(
 ) -> Iterator[Finding]:
     """Why a diagnosis of trials means nothing: other units, signs or order, or no motion above steps and noise."""
     try:
-        preflight.check(model, trials)
+        plausibility.check(model, trials)
     except ConfigError as error:
         yield Finding("stop", "conventions", str(error))
     if problem := motion_problem(model, trials):
@@ -180,10 +181,13 @@ def prepared(
     check_settings(chosen, parts)
     check_fitted(groups, parts.train)
     search = SearchSettings(most_parts=options.most)
-    told_before = (*preflight.other_joints(model.robot, trials), *preflight.coarse_steps(model.robot, given.judged))
+    told_before = (
+        *plausibility.other_joints(model.robot, trials),
+        *plausibility.coarse_steps(model.robot, given.judged),
+    )
     notes = (
         *told_before,
-        *preflight.left_out_at_first(trials, parts, options.window),
+        *plausibility.left_out_at_first(trials, parts, options.window),
         *((told(gains),) if gains else ()),
         *(
             f"Gone on with all the same, as was asked (--anyway): {finding.sentence}"

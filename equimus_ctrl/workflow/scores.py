@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -23,7 +23,7 @@ from equimus_ctrl.models.augmented import unknown_starts
 from equimus_ctrl.models.model import Model, nominal_model
 from equimus_ctrl.options import ScoreOptions, with_changes
 from equimus_ctrl.options.score import StartName
-from equimus_ctrl.recordings import Mapping, read_set
+from equimus_ctrl.recordings import LEG, Mapping, read_set
 from equimus_ctrl.scenarios.scoring import on_grid
 from equimus_ctrl.shown import Short, by_name, counted
 from equimus_ctrl.types import Array, Recording
@@ -143,6 +143,7 @@ def gather(
     recordings: Path | str | Iterable[Path | str | Recording],
     model: Model | None = None,
     mapping: Mapping | Path | str | None = None,
+    rotating: Sequence[str] = (),
 ) -> list[Recording]:
     """The trials that files, folders or trials themselves mean.
 
@@ -150,6 +151,7 @@ def gather(
         recordings: they.
         model: of what; its joints and actuators are those wanted.
         mapping: what the columns of files of other formats than the project's are, or its file.
+        rotating: joints that turn without end, so that no angle of theirs is odd.
 
     Raises:
         EquimusError: where one cannot be read.
@@ -159,7 +161,12 @@ def gather(
     trials = [item for item in given if isinstance(item, Recording)]
     if files or not trials:
         own = mapping_of(mapping)
-        trials += read_set(files, mapping=own) if model is None else read_trials(files, model.robot, own)
+        limits = replace(LEG, rotating=tuple(rotating))
+        trials += (
+            read_set(files, mapping=own, limits=limits)
+            if model is None
+            else read_trials(files, model.robot, own, rotating)
+        )
     return trials if model is None else [as_modelled(trial, model.robot) for trial in trials]
 
 

@@ -12,7 +12,7 @@ from mjcf_models import ARM, refusal
 from pendulum_runs import MOTOR, PENDULUM, SERVO, recorded
 
 from equimus_ctrl import workflow
-from equimus_ctrl.diagnosis import preflight
+from equimus_ctrl.diagnosis import plausibility
 from equimus_ctrl.effects import CoulombFriction, Effect, PayloadMass, TransportDelay
 from equimus_ctrl.models.model import Model, nominal_model
 from equimus_ctrl.robots.mjcf.robot import MjcfRobot
@@ -34,9 +34,9 @@ def crane() -> MjcfRobot:
 
 
 def test_what_belongs_together_passes() -> None:
-    preflight.check(Model(ROBOT), runs())
-    preflight.check(Model(LIMITED), runs())
-    preflight.check(nominal_model(), ())
+    plausibility.check(Model(ROBOT), runs())
+    plausibility.check(Model(LIMITED), runs())
+    plausibility.check(nominal_model(), ())
 
 
 @pytest.mark.parametrize(
@@ -46,11 +46,11 @@ def test_missing_physics_is_no_mistake_of_the_recordings(
     effect: CoulombFriction | PayloadMass | TransportDelay,
 ) -> None:
     """Even a payload of twice the arm's own mass."""
-    preflight.check(Model(ROBOT), recorded(Model(ROBOT, (effect,)), count=2, seed=3))
+    plausibility.check(Model(ROBOT), recorded(Model(ROBOT, (effect,)), count=2, seed=3))
 
 
 def test_a_negated_torque_is_told() -> None:
-    said = refusal(lambda: preflight.check(Model(ROBOT), [replace(r, command=-r.command) for r in runs()]))
+    said = refusal(lambda: plausibility.check(Model(ROBOT), [replace(r, command=-r.command) for r in runs()]))
     assert "the forces of hinge look negated" in said and "cmd.drive" in said and "change the sign" in said
 
 
@@ -61,11 +61,11 @@ def test_a_joint_that_friction_holds_says_nothing_of_signs() -> None:
     time = np.arange(0, 4, 0.01)
     rows = [np.column_stack([np.full(len(time), size), 1e-7 * (1 - time)]) for size in (0.02, 0.015)]
     trials = [Recording(f"t{k}", time, own[:, :1], own[:, 1:], ("drive",), ("hinge",)) for k, own in enumerate(rows)]
-    preflight.check(Model(robot), trials)
+    plausibility.check(Model(robot), trials)
 
 
 def test_currents_in_the_place_of_torques_are_told() -> None:
-    said = refusal(lambda: preflight.check(Model(ROBOT), [replace(r, command=r.command / 12) for r in runs()]))
+    said = refusal(lambda: plausibility.check(Model(ROBOT), [replace(r, command=r.command / 12) for r in runs()]))
     assert "another unit, such as currents" in said and "gear or gain" in said
     factor = float(said.partition("needs is ")[2].partition(" times")[0])
     assert factor == pytest.approx(12.0, rel=0.1)
@@ -74,15 +74,15 @@ def test_currents_in_the_place_of_torques_are_told() -> None:
 def test_a_servo_that_asks_for_far_more_is_no_other_unit() -> None:
     robot = MjcfRobot("arm", PENDULUM.format(drive=SERVO))
     stiff = MjcfRobot("arm", PENDULUM.format(drive=SERVO.replace("12", "400").replace("0.4", "9")))
-    preflight.check(Model(stiff), recorded(Model(robot), count=2, seed=2))
+    plausibility.check(Model(stiff), recorded(Model(robot), count=2, seed=2))
 
 
 def test_exchanged_columns_are_told() -> None:
     robot = crane()
     trials = recorded(Model(robot), count=2, seed=5, size=3.0, noise=2e-4)
-    preflight.check(Model(robot), trials)
+    plausibility.check(Model(robot), trials)
     exchanged = [replace(r, command=r.command[:, ::-1].copy()) for r in trials]
-    said = refusal(lambda: preflight.check(Model(robot), exchanged))
+    said = refusal(lambda: plausibility.check(Model(robot), exchanged))
     assert "look exchanged" in said and "shoulder" in said and "reach" in said and "order" in said
 
 
@@ -106,12 +106,12 @@ def changed(trials: Sequence[Recording], *, add: float = 0.0, signs: Sequence[fl
 
 
 def test_another_zero_is_told_with_what_to_add() -> None:
-    said = refusal(lambda: preflight.check(Model(MOTORS), changed(moves(MOTORS), add=np.pi / 2)))
+    said = refusal(lambda: plausibility.check(Model(MOTORS), changed(moves(MOTORS), add=np.pi / 2)))
     assert "the zero of elbow looks off by 90°" in said and "add -1.5708 rad to pos.elbow, or" in said
 
 
 def test_a_joint_recorded_the_other_way_round_is_told() -> None:
-    said = refusal(lambda: preflight.check(Model(MOTORS), changed(moves(MOTORS), signs=(1, -1))))
+    said = refusal(lambda: plausibility.check(Model(MOTORS), changed(moves(MOTORS), signs=(1, -1))))
     assert "elbow looks as if it turned the other way round" in said and "sign of pos.elbow and cmd.m2" in said
     assert "shoulder looks as if" in said, "a mirrored plane is the same"
 
@@ -122,7 +122,7 @@ def test_joints_in_another_order_are_told(commands: bool, words: str) -> None:
         replace(r, position=r.position[:, ::-1].copy(), command=r.command[:, ::-1].copy() if commands else r.command)
         for r in moves(MOTORS)
     ]
-    said = refusal(lambda: preflight.check(Model(MOTORS), other))
+    said = refusal(lambda: plausibility.check(Model(MOTORS), other))
     assert "shoulder" in said and "elbow look exchanged" in said and words in said
 
 
@@ -130,7 +130,7 @@ def test_a_servos_goal_has_its_joints_zero() -> None:
     trials = moves(SERVOS)
     turn = np.array([0.0, np.pi])
     other = [replace(r, position=r.position + turn, command=r.command + turn) for r in trials]
-    said = refusal(lambda: preflight.check(Model(SERVOS), other))
+    said = refusal(lambda: plausibility.check(Model(SERVOS), other))
     assert "off by 180°" in said and "to pos.elbow and to its drive's goal" in said
 
 
@@ -139,23 +139,23 @@ def test_a_servos_goal_has_its_joints_zero() -> None:
     [(PayloadMass("fore", 1.5),), (CoulombFriction("shoulder", 1.0), CoulombFriction("elbow", 0.8))],
 )
 def test_missing_physics_at_several_joints_is_no_mistake_of_the_recordings(effects: tuple[Effect, ...]) -> None:
-    preflight.check(Model(MOTORS), recorded(Model(MOTORS, effects), count=2, seed=12, size=1.5))
+    plausibility.check(Model(MOTORS), recorded(Model(MOTORS, effects), count=2, seed=12, size=1.5))
 
 
 def test_angles_in_degrees_are_told() -> None:
     turned = [replace(r, position=np.rad2deg(r.position)) for r in runs()]
-    assert "in degrees? They are expected in rad" in refusal(lambda: preflight.check(Model(LIMITED), turned))
+    assert "in degrees? They are expected in rad" in refusal(lambda: plausibility.check(Model(LIMITED), turned))
 
 
 def test_a_model_whose_angles_are_read_in_degrees_is_told() -> None:
     xml = PENDULUM.format(drive=MOTOR).replace('axis="0 -1 0"', 'axis="0 -1 0" range="-2 2.2"')
-    said = refusal(lambda: preflight.check(Model(MjcfRobot("arm", xml)), runs()))
+    said = refusal(lambda: plausibility.check(Model(MjcfRobot("arm", xml)), runs()))
     assert '<compiler angle="radian"/>' in said and "hinge goes from" in said
 
 
 def test_a_zero_that_cannot_be_is_told() -> None:
     moved = [replace(r, position=r.position + 4.5) for r in runs()]
-    said = refusal(lambda: preflight.check(Model(LIMITED), moved))
+    said = refusal(lambda: plausibility.check(Model(LIMITED), moved))
     assert "encoder's zero" in said and "-1.75 to 2.09 rad" in said
 
 
@@ -172,7 +172,7 @@ def test_an_encoders_steps_are_told(per_turn: int, slow: float) -> None:
     exact = Recording("exact", time, angle, angle, ("drive",), ("hinge",))
     coarse = replace(exact, position=np.round(np.round(angle / step) * step, 7))
     noisy = replace(exact, position=coarse.position + np.random.default_rng(0).normal(0, step, angle.shape))
-    told = partial(preflight.coarse_steps, ROBOT)
+    told = partial(plausibility.coarse_steps, ROBOT)
     assert told([exact]) == told([noisy]) == []
     (said,) = told([coarse, coarse])
     turn = " (4096 a turn)" if per_turn == 4096 else ""
