@@ -36,6 +36,18 @@ class Same:
         return object.__hash__(self.array)
 
 
+def robot_with(
+    robot: R, settings: Mapping[str, float], factors: Mapping[str, float], payloads: Mapping[str, float]
+) -> R:
+    """A robot with some numbers that are known to be others, factors on some, and masses [kg] that it carries."""
+    if settings or factors:
+        own = robot.parameters()
+        robot = robot.with_parameters({**settings, **{name: factor * own[name] for name, factor in factors.items()}})
+    for place, mass in payloads.items():
+        robot = robot.with_payload(place, mass)
+    return robot
+
+
 @dataclass(frozen=True, eq=False, repr=False)
 class Trial(Short):
     """A command history and the times at which joint positions are wanted.
@@ -102,14 +114,7 @@ class Trial(Short):
 
     def robot_in(self, robot: R) -> R:
         """A robot as it is in this trial: with ``settings``, with ``factors`` times what it has, with ``payloads``."""
-        if self.settings or self.factors:
-            own = robot.parameters()
-            robot = robot.with_parameters(
-                {**self.settings, **{name: factor * own[name] for name, factor in self.factors.items()}}
-            )
-        for place, mass in self.payloads.items():
-            robot = robot.with_payload(place, mass)
-        return robot
+        return robot_with(robot, self.settings, self.factors, self.payloads)
 
     @property
     def history(self) -> tuple[Same, Same, bytes, bool, PrescribedMotion | None, RecordedMotion | None]:

@@ -66,7 +66,7 @@ def equilibrium(dynamics: Dynamics, command: Array, near: Array) -> Array:
 
 
 def _modes(dynamics: Dynamics, q: Array, command: Array, free: NDArray[np.bool_]) -> tuple[Array, Array]:
-    """w (k,), the lowest first, and x (k, k) in columns of K x = w M x of the free joints."""
+    """W (k,), the lowest first, and x (k, k) in columns of K x = w M x of the free joints."""
     own = np.ix_(free, free)
     linear = dynamics.linear(q, command)
     stiffness = linear.stiffness[own]
