@@ -37,7 +37,7 @@ def test_every_point_is_within_all_limits_and_rests_before_and_after(family: Fam
         assert u.shape == (len(TIMES), na) and np.isfinite(u).all()
         slack = 1e-9 * (own.high - own.low)
         assert np.all(u >= own.low - slack) and np.all(u <= own.high + slack)
-        assert np.all(u[TIMES <= 0.4] == own.rest) and np.all(u[TIMES >= TIMES[-1] - 0.7] == own.rest)
+        assert np.all(u[TIMES <= 0.4] == own.rest) and np.all(u[TIMES[-1] - 0.7 <= TIMES] == own.rest)
         rates = np.diff(u, axis=0) / 0.01
         turning = np.diff(np.vstack([np.zeros(na), rates, np.zeros(na)]), axis=0) / 0.01
         assert np.all(np.abs(rates) <= own.rate * (1 + 1e-9))
