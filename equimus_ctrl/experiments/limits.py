@@ -207,7 +207,7 @@ class Limits:
         Raises:
             ConfigError: for a key that there is not, a value that cannot be, or a range that is wider than the robot's.
         """
-        found, changes = cls.of(robot), {}
+        found, changes = cls.of(robot), dict[str, Any]()
         for key, value in _flat(data or {}, where).items():
             found._change(changes, key, value, where)
         for key, text in (options or {}).items():
@@ -260,8 +260,8 @@ class Limits:
         for i, name in enumerate(robot.actuator_names):
             if not (np.isfinite(self.command_low[i]) and np.isfinite(self.command_high[i])):
                 raise ConfigError(
-                    f"{robot.name}: commands of {name} have no limits of their own; expected {name}.low and {name}.high "
-                    "in --limits"
+                    f"{robot.name}: commands of {name} have no limits of their own; expected {name}.low and "
+                    f"{name}.high in --limits"
                 )
         return CommandBounds(
             self.command_low, self.command_high, rest, self.command_rate, self.command_acceleration, self.before,

@@ -90,8 +90,8 @@ def read_commands(
     if np.any((first < low) | (first > high)):
         i = int(np.argmax((first < low) | (first > high)))
         raise RecordingError(
-            f"{sheet.path}, note {BEFORE}{actuators[i]}: {first[i]:g} lies outside the range of commands, {low[i]:g} to "
-            f"{high[i]:g}"
+            f"{sheet.path}, note {BEFORE}{actuators[i]}: {first[i]:g} lies outside the range of commands, "
+            f"{low[i]:g} to {high[i]:g}"
         )
     return CommandFile(
         frozen_array(times - times[0]),
