@@ -74,12 +74,33 @@ def rest_pose(model: Model, command: ArrayLike, near: ArrayLike | None = None) -
         ModelError: where no such pose is found.
         NotAvailable: where neither statics of pressures nor equations of motion hold the robot.
     """
-    robot, given = model.robot, np.asarray(command, dtype=np.float64)
-    pressure = shaped_commands(model.effects, robot.actuator_names, given[None], robot.command_ranges)[0]
-    if "lengths" not in robot.offers:
-        dynamics = Dynamics(model)
-        begin = robot.home if near is None else np.asarray(near, dtype=np.float64)
-        return equilibrium(dynamics, pressure, np.zeros(len(robot.joint_names)) if begin is None else begin)
+    return np.asarray(rest_poses(model, np.asarray(command, dtype=np.float64)[None], near)[0])
+
+
+def rest_poses(model: Model, commands: ArrayLike, near: ArrayLike | None = None) -> Array:
+    """(n, nj) where a model rests under each of constant commands (n, na), looked for near the one before.
+
+    Args:
+        model: with its effects.
+        commands: (n, na) [Pa, or the unit of each actuator's command].
+        near: (nj,) of the first, see ``rest_pose``.
+
+    Raises:
+        ModelError, NotAvailable: see ``rest_pose``.
+    """
+    robot, given = model.robot, np.asarray(commands, dtype=np.float64)
+    reached = shaped_commands(model.effects, robot.actuator_names, given, robot.command_ranges)
+    if "lengths" in robot.offers:
+        return np.array([_rest_under(model, pressure) for pressure in reached])
+    begin = robot.home if near is None else np.asarray(near, dtype=np.float64)
+    found, dynamics = [np.zeros(len(robot.joint_names)) if begin is None else begin], Dynamics(model)
+    for command in reached:
+        found.append(equilibrium(dynamics, command, found[-1]))
+    return np.array(found[1:])
+
+
+def _rest_under(model: Model, pressure: Array) -> Array:
+    """The same by the statics of what reaches the actuators (na,) [Pa]."""
     kinematics = Kinematics(changed_bodies(model.effects, model.morphology), model.phase)
     forces = forces_at_rest(model)
     if forces is None:

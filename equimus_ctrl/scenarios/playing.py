@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from equimus_ctrl.engines.predict import robot_as_noted
-from equimus_ctrl.engines.rest import rest_pose
+from equimus_ctrl.engines.rest import rest_pose, rest_poses
 from equimus_ctrl.errors import ConfigError, ModelError, NotAvailable
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.recordings.commands import CommandFile
@@ -50,11 +50,10 @@ def resting(context: ScenarioContext, profile: CommandProfile, first: Array, mos
         first: (nj,) where it begins [rad or m].
         most: instants at which it is worked out.
     """
-    model, rests = Model(context.robot, context.effects, context.phase), [first]
+    model = Model(context.robot, context.effects, context.phase)
     times = profile.times[np.unique(np.linspace(0, len(profile.times) - 1, most).astype(int))]
     try:
-        for time in times[1:]:
-            rests.append(rest_pose(model, profile.at(float(time)), rests[-1]))
+        later = rest_poses(model, [profile.at(float(time)) for time in times[1:]], first)
     except (ModelError, NotAvailable):
         return HoldReference(np.clip(first, *context.robot.joint_range))
-    return SampledReference(times, np.clip(rests, *context.robot.joint_range))
+    return SampledReference(times, np.clip(np.vstack([first, later]), *context.robot.joint_range))
