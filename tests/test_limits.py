@@ -43,6 +43,10 @@ def test_a_robots_own_limits_are_the_default() -> None:
     assert Limits.of(RIG).joint_margin.tolist()[0] == 0.0 or np.isfinite(RIG.joint_range[1][0])
     assert "drive" not in refusal(lambda: Limits.of(ARM).bounds(np.zeros(1)))
     assert "expected motor.low and motor.high in --limits" in refusal(lambda: Limits.of(ARM).bounds(np.zeros(1)))
+    goal = '<position name="goal" joint="pivot" kp="60" kv="1"/>'
+    servo = Limits.of(MjcfRobot("servo", pendulum('range="-0.8 0.7" limited="true"', drive=goal)))
+    assert servo.command_low.tolist() == [-0.8] and servo.command_high.tolist() == [0.7]
+    assert np.isinf(Limits.of(MjcfRobot("servo", pendulum(drive=goal))).command_high).all()
     given = Limits.read(ARM, options={"motor.low": "-1", "motor.high": "2", "motor.rate": "5"})
     bounds = given.bounds(np.zeros(1))
     assert (bounds.low[0], bounds.high[0], bounds.rate[0], bounds.before) == (-1.0, 2.0, 5.0, 0.5)

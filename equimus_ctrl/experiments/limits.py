@@ -176,12 +176,20 @@ class Limits:
 
     @classmethod
     def of(cls, robot: Robot) -> Limits:
-        """A robot's own: its ranges, with margins, and how fast its commands may change."""
+        """A robot's own: its ranges, with margins, and how fast its commands may change.
+
+        Goals without limits of their own may be anywhere in the ranges of the joints that they are for.
+        """
         low, high = robot.joint_range
         span = high - low
+        with np.errstate(invalid="ignore"):
+            ends = np.sort([robot.goals_at(low), robot.goals_at(high)], axis=0)
+        given = np.array(robot.command_limits)
+        known = np.array(robot.goals, dtype=bool) & np.isfinite(ends).all(axis=0)
+        given = np.where(known & ~np.isfinite(given), ends, given)
         return cls(
             robot,
-            *robot.command_limits,
+            *given,
             robot.command_rates,
             np.full(len(robot.actuator_names), np.inf),
             low,
