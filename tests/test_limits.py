@@ -12,7 +12,7 @@ from equimus_ctrl import presets
 from equimus_ctrl.engines.batch import simulate
 from equimus_ctrl.engines.encoding import encode
 from equimus_ctrl.engines.rest import rest_pose
-from equimus_ctrl.engines.trials import Trial
+from equimus_ctrl.engines.trials import Predicted, Trial
 from equimus_ctrl.experiments.families import FAMILIES
 from equimus_ctrl.experiments.limits import GIVE, MARGIN, Limits, Motions, shrunk
 from equimus_ctrl.models.model import Model, nominal_model
@@ -129,9 +129,7 @@ def test_the_leg_may_be_moved_from_its_stop_and_back() -> None:
         u = FAMILIES["steps"].commands(z, times, limits.bounds(REST), amplitude)
         rest = rest_pose(model, u[0])
         trial = Trial("steps", times, u, u[0], 0.0, rest, times, inner=True)
-        (found,) = simulate([model], [trial], check=False)
-        assert found.motion is not None
-        return Motions(times, found.motion[:, :, :2], found.motion[:, :, 2:], rest[None])
+        return Motions.of(simulate([model], [trial], check=False), times)
 
     rng = np.random.default_rng(0)
     for z in rng.random((4, FAMILIES["steps"].dimension(2))):
@@ -141,6 +139,15 @@ def test_the_leg_may_be_moved_from_its_stop_and_back() -> None:
     amplitude, found = shrunk(lambda a: motions(a, z), tight)
     assert 0.1 < amplitude < 1.0 and not found.left and found.worst > -0.05
     assert tight.excess(motions(amplitude + 0.02, z)).left
+
+
+def test_what_a_lost_simulation_says_does_not_count() -> None:
+    motion, times = np.zeros((2, 5, 2)), np.arange(5.0)
+    motion[1, 3:] = 1e6
+    found = Motions.of([Predicted(motion[:, :, :1], np.array([5, 3]), motion)] * 2, times)
+    assert found.position.shape == (4, 5, 1) and found.rest.tolist() == [[0.0]] * 4
+    excess = Limits.of(ARM).excess(found)
+    assert excess.left and str(excess) == "the simulation of model 1 is lost at 3 s"
 
 
 def test_none_is_offered_that_was_not_looked_at() -> None:

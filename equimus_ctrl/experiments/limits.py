@@ -31,12 +31,13 @@ prediction, Vovk, Gammerman & Shafer, Algorithmic Learning in a Random World, 20
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import numpy as np
 
+from equimus_ctrl.engines.trials import Predicted
 from equimus_ctrl.errors import ConfigError, unknown_name
 from equimus_ctrl.experiments.families import CommandBounds
 from equimus_ctrl.robots.base import Robot
@@ -74,6 +75,23 @@ class Motions:
     position: Array
     rate: Array
     rest: Array
+
+    @classmethod
+    def of(cls, predicted: Sequence[Predicted], times: Array) -> Motions:
+        """Of simulations under the same commands, one for each explanation, that begin at rest.
+
+        Args:
+            predicted: of trials that ask for their inner motion, see ``Trial.inner``.
+            times: (n,) of their samples [s].
+        """
+        parts = []
+        for own in predicted:
+            assert own.motion is not None, "the trial asks for its inner motion"
+            lost = np.arange(len(times)) >= own.reached[:, None]
+            parts.append(np.where(lost[:, :, None], np.nan, own.motion))
+        whole = np.concatenate(parts)
+        position, rate = np.split(whole, 2, axis=2)
+        return cls(times, position, rate, position[:, 0])
 
 
 @dataclass(frozen=True, eq=False)
