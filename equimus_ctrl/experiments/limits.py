@@ -82,7 +82,7 @@ class Motions:
 
         Args:
             predicted: of trials that ask for their inner motion, see ``Trial.inner``.
-            times: (n,) of their samples [s].
+            times: (n,) of their samples, the first at the start [s].
         """
         parts = []
         for own in predicted:
@@ -207,7 +207,8 @@ class Limits:
         given = np.where(known & ~np.isfinite(given), ends, given)
         return cls(
             robot,
-            *given,
+            given[0],
+            given[1],
             robot.command_rates,
             np.full(len(robot.actuator_names), np.inf),
             low,
