@@ -13,7 +13,7 @@ from wrong_input import RUN, SCORE, Ran, sentence, snapshot, study
 
 CASES: list[tuple[Sequence[object], str]] = [
     # run: scenarios and their options
-    (("run", "hodl"), "there is no scenario 'hodl'; did you mean 'hold'? (known: chirp, foot_circle, hold"),
+    (("run", "hodl"), "there is no scenario 'hodl'; did you mean 'hold'? (known: chirp, commands, foot_circle, hold"),
     (("run", "hodl", "--output", "new", "--video", "new/film.gif"), "there is no scenario 'hodl'"),
     (("run", "nowhere.py"), "nowhere.py: there is no such file"),
     (("run", "broken.py"), "broken.py: fails when it is loaded: ModuleNotFoundError: No module named 'no_such_module'"),
@@ -112,7 +112,7 @@ CASES: list[tuple[Sequence[object], str]] = [
     (("autotune-pid", "--seed", "-1"), "study: seed is -1, expected at least 0"),
     (
         ("autotune-pid", "--scenario", "hodl"),
-        "there is no scenario 'hodl'; did you mean 'hold'? (known: chirp, foot_circle, hold",
+        "there is no scenario 'hodl'; did you mean 'hold'? (known: chirp, commands, foot_circle, hold",
     ),
     (("autotune-pid", "--model", "nowhere.toml"), "nowhere.toml: there is no such file"),
     # recordings

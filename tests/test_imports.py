@@ -28,6 +28,7 @@ ORDER: tuple[tuple[str, ...], ...] = (
     ("testing",),
     ("tuning", "identification", "diagnosis", "validation", "proof"),
     ("preflight",),
+    ("experiments",),
     ("report",),
     ("options",),
     ("workflow",),

@@ -126,14 +126,18 @@ def test_notes_that_say_nothing_usable_are_told_with_the_recordings_name(notes: 
     assert told.startswith("third trial: ")
 
 
-def test_notes_of_numbers_are_for_mjcf_robots_alone() -> None:
+@pytest.mark.parametrize("shoot", [None, 0.5])
+def test_notes_of_numbers_are_for_every_robot(shoot: float | None) -> None:
     leg = Model(nominal_leg())
     time = np.arange(0, 2.001, 0.01)
     rest = Recording(
         "leg", time, np.zeros((len(time), 2)), np.tile([1.2, 0.8], (len(time), 1)), leg.morphology.actuator_names,
-        leg.morphology.joint_names, notes={"set.hip.damping": "1"},
+        leg.morphology.joint_names, notes={"set.hip.damping": "1", "payload.foot": "0.1"},
     )  # fmt: skip
-    assert "is for MJCF robots alone" in refusal(lambda: cut(leg, [rest], shoot=0.5))
+    for segment in cut(leg, [rest], shoot=shoot):
+        own = segment.trial.robot_in(leg.robot).parameters()
+        assert own["hip.damping"] == 1.0
+        assert own["calf.mass"] == pytest.approx(leg.robot.parameters()["calf.mass"] + 0.1)
 
 
 def test_a_number_that_every_recording_gives_cannot_be_free() -> None:

@@ -16,6 +16,8 @@ from equimus_ctrl import presets, workflow
 from equimus_ctrl.scenarios.scenario import build_scenario, option_defaults
 
 NAMES = sorted(presets.names("scenarios", ".py"))
+PLAYED = "time,cmd.maa,cmd.baa\n0,0,0\n0.5,9000,3000\n1,9000,3000\n"
+"""What the scenario that plays a file is given."""
 OWN = ("chirp", "hold", "step_release", "triangle")
 
 
@@ -41,7 +43,9 @@ def built(leg: eq.Morphology, empty: Path) -> Callable[..., eq.Scenario]:
 
     def get(name: str, recordings: Path | None = None) -> eq.Scenario:
         if (name, recordings) not in done:
-            done[name, recordings] = workflow.load_scenario(name, leg, recordings=recordings or empty)
+            (empty / "played.csv").write_text(PLAYED)
+            options = {"file": str(empty / "played.csv")} if name == "commands" else {}
+            done[name, recordings] = workflow.load_scenario(name, leg, options=options, recordings=recordings or empty)
         return done[name, recordings]
 
     return get

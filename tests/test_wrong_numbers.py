@@ -82,12 +82,21 @@ def test_a_huge_seed_is_a_seed() -> None:
     assert study_from_dict(data).seed == 10**400
 
 
-@pytest.mark.parametrize("note", ["set.nonsense = 1", "times.maa.area = 2", "zero.hip = free"])
-def test_notes_of_numbers_are_not_taken_in_silence_for_a_leg(note: str, run_there: Callable[..., Ran]) -> None:
+@pytest.mark.parametrize(
+    ("note", "said"),
+    [
+        ("set.nonsense = 1", "note set.nonsense: there is no parameter 'nonsense'"),
+        ("times.maa.area = much", "note times.maa.area is 'much', expected a factor"),
+        ("payload.elbow = 1", "note payload.elbow"),
+        ("payload.foot = light", "note payload.foot is 'light', expected a mass in kg"),
+        ("zero.hip = free", "note 'zero.hip' is for MJCF robots alone"),
+    ],
+)
+def test_notes_of_numbers_are_not_taken_in_silence_for_a_leg(
+    note: str, said: str, run_there: Callable[..., Ran]
+) -> None:
     text = f"# {note}\n{TRIAL}"
-    assert f"note {note.split()[0]!r} is for MJCF robots alone" in sentence(
-        run_there(("score", "noted.csv"), {"noted.csv": text}), 2
-    )
+    assert said in sentence(run_there(("score", "noted.csv"), {"noted.csv": text}), 2)
 
 
 def test_a_number_that_nothing_is_as_large_as_is_no_measurement(tmp_path: Path) -> None:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.optimize import linear_sum_assignment
@@ -22,7 +22,7 @@ from equimus_ctrl.engines.mjcf_inverse import (
     motions_of,
     weighed_as_motion,
 )
-from equimus_ctrl.engines.predict import SET, TIMES, noted
+from equimus_ctrl.engines.predict import in_its_condition
 from equimus_ctrl.engines.trials import Trial
 from equimus_ctrl.errors import ConfigError
 from equimus_ctrl.identification.channels import channels_of, require_alike
@@ -351,10 +351,7 @@ def _forces(model: Model, recordings: Sequence[Recording], widths: Sequence[int]
 
 def measured_motions(model: Model, recordings: Sequence[Recording]) -> list[MeasuredMotion]:
     """What was measured, for inverse dynamics of whole recordings."""
-    trials = [
-        replace(Trial.of(r, r.position[0]), settings=noted(model, r, SET), factors=noted(model, r, TIMES))
-        for r in recordings
-    ]
+    trials = [in_its_condition(model, r, Trial.of(r, r.position[0])) for r in recordings]
     measured = [np.array(r.position) for r in recordings]
     noise = np.array([own.sigma for own in noise_of_differences(measured)])
     return motions_of(trials, measured, noise)

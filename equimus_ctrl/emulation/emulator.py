@@ -18,7 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from equimus_ctrl.emulation.faults import Fault
-from equimus_ctrl.errors import ConfigError
+from equimus_ctrl.engines.rest import rest_pose
+from equimus_ctrl.errors import ConfigError, ModelError, NotAvailable
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.plants.hardware.interface import interface_of
 from equimus_ctrl.plants.hardware.settings import HardwareSettings
@@ -142,7 +143,7 @@ class Emulator:
         self._low, self._high = spec.command_low, spec.command_high
         self._device = device or transport_entry(own.wire.transport).device(own.wire)
         nothing = np.clip(np.zeros(len(spec.actuators)), self._low, self._high)
-        home = self._plant.reset(Start(command=nothing)).position
+        home = self._plant.reset(self._at_rest(nothing)).position
         self._first: Array = np.clip(own.stopping(model.robot.goals_at(home)), self._low, self._high)
         self._second_publisher: Device | None = None
         self._rng = np.random.default_rng(s.seed)
@@ -153,6 +154,14 @@ class Emulator:
         self._coming: list[tuple[float, int, tuple[float, ...]]] = []
         self._going: list[tuple[float, int, float, tuple[float, ...]]] = []
         self._count = self._samples = 0
+
+    def _at_rest(self, command: Array) -> Start:
+        """At rest under a command (na,); of a robot that rests nowhere under it, in the pose of its description."""
+        try:
+            position = rest_pose(self._plant.model, command)
+        except (ModelError, NotAvailable):
+            position = self._plant.reset().position
+        return Start(command=command, position=position)
 
     def run(
         self,
@@ -171,7 +180,7 @@ class Emulator:
             SimulationDiverged: where the robot's motion did.
         """
         every, ticks, in_force = self._every, self._tick, self._first
-        start = Start(command=in_force)
+        start = self._at_rest(in_force)
         self._plant.reset(start, seed=self.settings.seed)
         self._plant.step(in_force)  # what is made at the first step is made before time begins
         observation = self._plant.reset(start, seed=self.settings.seed)

@@ -18,7 +18,7 @@ from equimus_ctrl.engines.limits import MAX_SPEED
 from equimus_ctrl.engines.mujoco_batch import FAST_SETTINGS, MujocoBatch, near_stop, stop_divisor
 from equimus_ctrl.engines.mujoco_forces import ForceStepper
 from equimus_ctrl.engines.steps import step_divisor, warn_if_coarse
-from equimus_ctrl.engines.trials import Predicted, Trial, check_size
+from equimus_ctrl.engines.trials import Condition, Predicted, Trial, check_size
 from equimus_ctrl.errors import ConfigError
 from equimus_ctrl.models.kinematics import Kinematics
 from equimus_ctrl.models.mjcf import SolverSettings, compile_model, place
@@ -64,16 +64,24 @@ def simulate_mujoco(
             raise ConfigError(f"{model.name} and {models[0].name} differ in phase, so they cannot run together")
     m = models[0].morphology
     poses = [trial.position for trial in trials]
-    robots = [changed_bodies(model.effects, model.morphology) for model in models]
+    known: dict[Condition, list[Morphology]] = {}
+    for trial in trials:
+        if trial.condition not in known:
+            own = [changed_bodies(model.effects, trial.robot_in(model.morphology)) for model in models]
+            known[trial.condition] = own
+    robots = next(iter(known.values()), [changed_bodies(model.effects, model.morphology) for model in models])
     if settings is None:
         divisor = step_divisor(robots[0], models[0].phase, poses, FAST_SETTINGS.timestep)
         settings = replace(FAST_SETTINGS, timestep=FAST_SETTINGS.timestep / divisor)
     check_size(trials, settings.timestep)
-    batch = MujocoBatch.of(robots, models[0].phase, settings, threads)
+    batches = {key: MujocoBatch.of(own, models[0].phase, settings, threads) for key, own in known.items()}
     results = [
-        _one_trial(models, robots, batch, trial, None if starts is None else starts[k], len(m.joints))
+        _one_trial(
+            models, known[trial.condition], batches[trial.condition], trial, None if starts is None else starts[k],
+            len(m.joints),
+        )
         for k, trial in enumerate(trials)
-    ]
+    ]  # fmt: skip
     if all(found.sound[0] for found in results):  # a divergence is visible by itself
         # Runs on stops have had steps of their own.
         warn_if_coarse(robots[0], models[0].phase, poses, settings.timestep, [])

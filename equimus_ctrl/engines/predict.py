@@ -2,31 +2,33 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import get_args
+from typing import TypeVar, get_args
 
 import numpy as np
 
-from equimus_ctrl.effects.bodies import changed_bodies
+from equimus_ctrl.effects.bodies import PayloadMass, changed_bodies
 from equimus_ctrl.effects.sensors import PLAY, SCALE, SENSOR_DELAY, ahead, behind, sensor_settings
 from equimus_ctrl.engines.base import EngineName
 from equimus_ctrl.engines.batch import STEP
 from equimus_ctrl.engines.choice import engine_for
 from equimus_ctrl.engines.steps import step_divisor
-from equimus_ctrl.engines.trials import Trial
+from equimus_ctrl.engines.trials import Trial, robot_with
 from equimus_ctrl.errors import ConfigError, ModelError, SimulationDiverged, unknown_name
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.robots.base import Robot
 from equimus_ctrl.types import Array, Recording
 
+R = TypeVar("R", bound=Robot)
 MUJOCO_STEP = 1 / 480
 """Default physics step of a single prediction in MuJoCo [s]."""
 
 SLOPE_SPAN, SLOPE_SAMPLES = 0.1, 6
 """Half the time over which a start's velocities are read off by a parabola [s]; of less smooth motions in samples."""
-SET, TIMES = "set.", "times."
-"""What notes begin with that give a number of the model for one recording, by itself or as a factor on it."""
+SET, TIMES, PAYLOAD = "set.", "times.", "payload."
+"""What notes begin with that give a number of the model for one recording, by itself or as a factor on it, or a mass
+[kg] at a place of the robot."""
 ZERO, FREE = "zero.", "free"
 """Note that a joint's sensor has another, unknown zero in one recording: ``zero.elbow = free``."""
 SETTLED_SPAN = 0.1
@@ -63,31 +65,55 @@ def slope_span(model: Model, recording: Recording) -> float:
     return SLOPE_SAMPLES * float(np.median(np.diff(recording.time)))
 
 
-def noted(model: Model, recording: Recording, prefix: str) -> dict[str, float]:
-    """What a recording's notes say of a robot's parameters: ``set.servo.kp = 3.2``, or ``times.servo.kp = 2``.
+def noted(robot: Robot, where: str, notes: Mapping[str, str], prefix: str) -> dict[str, float]:
+    """What notes say of a robot's parameters: ``set.servo.kp = 3.2``, or ``times.servo.kp = 2``.
+
+    Or of what it carries: ``payload.tip = 0.2``.
+
+    Args:
+        robot: whose they are.
+        where: they stand, for messages.
+        notes: of a recording.
+        prefix: of those that count.
 
     Raises:
-        ConfigError: where there is no such number, or the value is none.
+        ConfigError: where there is no such number or place, or the value is none.
     """
-    robot, found = model.robot, {}
-    for key, text in recording.notes.items():
+    found: dict[str, float] = {}
+    for key, text in notes.items():
         if not key.startswith(prefix):
             continue
         name = key.removeprefix(prefix)
-        if not robot.traits.notes_set_parameters:
-            raise ConfigError(f"{recording.name}: note {key!r} is for MJCF robots alone")
-        if not robot.has_parameters([name]):
-            raise ConfigError(unknown_name("parameter", name, robot.parameters(), f"{recording.name}: note {key}"))
+        if prefix != PAYLOAD and not robot.has_parameters([name]):
+            raise ConfigError(unknown_name("parameter", name, robot.parameters(), f"{where}: note {key}"))
         try:
             found[name] = float(text)
+            if prefix == PAYLOAD:
+                robot.check((PayloadMass(name, found[name]),))
+                continue
             factor = 1.0 if prefix == SET else robot.parameters()[name]
             robot.with_parameters({name: found[name] * factor})
         except ValueError:
-            what = "a number" if prefix == SET else "a factor"
-            raise ConfigError(f"{recording.name}: note {key} is {text!r}, expected {what}") from None
-        except ModelError as error:
-            raise ConfigError(f"{recording.name}: note {key}: {error}") from None
+            what = {SET: "a number", TIMES: "a factor", PAYLOAD: "a mass in kg"}[prefix]
+            raise ConfigError(f"{where}: note {key} is {text!r}, expected {what}") from None
+        except (ConfigError, ModelError) as error:
+            raise ConfigError(f"{where}: note {key}: {error}") from None
     return found
+
+
+def in_its_condition(model: Model, recording: Recording, trial: Trial) -> Trial:
+    """A trial with what the notes of its recording say is known to be different in it, see ``noted``."""
+    settings, factors, payloads = _different(model.robot, recording.name, recording.notes)
+    return replace(trial, settings=settings, factors=factors, payloads=payloads)
+
+
+def robot_as_noted(robot: R, where: str, notes: Mapping[str, str]) -> R:
+    """A robot with what notes say is known to be different, see ``noted``."""
+    return robot_with(robot, *_different(robot, where, notes))
+
+
+def _different(robot: Robot, where: str, notes: Mapping[str, str]) -> tuple[dict[str, float], ...]:
+    return tuple(noted(robot, where, notes, prefix) for prefix in (SET, TIMES, PAYLOAD))
 
 
 def free_zeros(model: Model, recording: Recording) -> tuple[int, ...]:
@@ -113,8 +139,7 @@ def free_zeros(model: Model, recording: Recording) -> tuple[int, ...]:
 
 def check_notes(robot: Robot, recording: Recording) -> None:
     """Raise ConfigError where a recording's notes say something of a robot that it does not have."""
-    for prefix in (SET, TIMES):
-        noted(Model(robot), recording, prefix)
+    _different(robot, recording.name, recording.notes)
     free_zeros(Model(robot), recording)
 
 
@@ -221,7 +246,7 @@ def predict(
         )
     if dt is not None and not 0 < dt < float("inf"):
         raise ConfigError(f"the physics step is {dt:g} s, expected more than 0")
-    trial = Trial.of(recording, q0)
+    trial = in_its_condition(model, recording, Trial.of(recording, q0))
     step = dt
     if step is None:
         usual = MUJOCO_STEP if engine == "mujoco" else STEP
@@ -244,11 +269,7 @@ def _predict_moving(
         )
     begin = np.zeros(2 * nj)
     begin[: len(given)] = given
-    trial = replace(
-        Trial.of(recording, begin[:nj]),
-        settings=noted(model, recording, SET),
-        factors=noted(model, recording, TIMES),
-    )
+    trial = in_its_condition(model, recording, Trial.of(recording, begin[:nj]))
     return _followed(model, recording, trial, begin, engine, dt)
 
 

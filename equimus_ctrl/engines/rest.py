@@ -16,6 +16,8 @@ from equimus_ctrl.effects.force import laws_of
 from equimus_ctrl.effects.valves import shaped_commands
 from equimus_ctrl.errors import ModelError
 from equimus_ctrl.models.augmented import Laws, augmented_model, law_parameters
+from equimus_ctrl.models.dynamics import Dynamics
+from equimus_ctrl.models.equilibrium import equilibrium
 from equimus_ctrl.models.kinematics import Kinematics
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.robots.elastic.morphology import Phase, pack, structure
@@ -59,14 +61,46 @@ def forces_at_rest(model: Model) -> Forces | None:
     return forces
 
 
-def rest_pose(model: Model, command: ArrayLike) -> Array:
-    """(nj,) where a model rests under constant commands (na,) [Pa], nothing held by dry friction [rad].
+def rest_pose(model: Model, command: ArrayLike, near: ArrayLike | None = None) -> Array:
+    """(nj,) where a model rests under constant commands, nothing held by dry friction [rad or m].
+
+    Args:
+        model: with its effects.
+        command: (na,) [Pa, or the unit of each actuator's command].
+        near: (nj,) where it is looked for where there may be several such poses [rad or m]; the robot's own pose by
+            default.
 
     Raises:
         ModelError: where no such pose is found.
+        NotAvailable: where neither statics of pressures nor equations of motion hold the robot.
     """
-    given = np.asarray(command, dtype=np.float64)
-    pressure = shaped_commands(model.effects, model.morphology.actuator_names, given[None])[0]
+    return np.asarray(rest_poses(model, np.asarray(command, dtype=np.float64)[None], near)[0])
+
+
+def rest_poses(model: Model, commands: ArrayLike, near: ArrayLike | None = None) -> Array:
+    """(n, nj) where a model rests under each of constant commands (n, na), looked for near the one before.
+
+    Args:
+        model: with its effects.
+        commands: (n, na) [Pa, or the unit of each actuator's command].
+        near: (nj,) of the first, see ``rest_pose``.
+
+    Raises:
+        ModelError, NotAvailable: see ``rest_pose``.
+    """
+    robot, given = model.robot, np.asarray(commands, dtype=np.float64)
+    reached = shaped_commands(model.effects, robot.actuator_names, given, robot.command_ranges)
+    if "lengths" in robot.offers:
+        return np.array([_rest_under(model, pressure) for pressure in reached])
+    begin = robot.home if near is None else np.asarray(near, dtype=np.float64)
+    found, dynamics = [np.zeros(len(robot.joint_names)) if begin is None else begin], Dynamics(model)
+    for command in reached:
+        found.append(equilibrium(dynamics, command, found[-1]))
+    return np.array(found[1:])
+
+
+def _rest_under(model: Model, pressure: Array) -> Array:
+    """The same by the statics of what reaches the actuators (na,) [Pa]."""
     kinematics = Kinematics(changed_bodies(model.effects, model.morphology), model.phase)
     forces = forces_at_rest(model)
     if forces is None:

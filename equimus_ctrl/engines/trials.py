@@ -18,7 +18,7 @@ from equimus_ctrl.shown import Short
 from equimus_ctrl.types import Array, PrescribedMotion, Recording
 
 R = TypeVar("R", bound=Robot)
-Condition = tuple[tuple[tuple[str, float], ...], tuple[tuple[str, float], ...]]
+Condition = tuple[tuple[tuple[str, float], ...], ...]
 
 
 class Same:
@@ -34,6 +34,18 @@ class Same:
 
     def __hash__(self) -> int:
         return object.__hash__(self.array)
+
+
+def robot_with(
+    robot: R, settings: Mapping[str, float], factors: Mapping[str, float], payloads: Mapping[str, float]
+) -> R:
+    """A robot with some numbers that are known to be others, factors on some, and masses [kg] that it carries."""
+    if settings or factors:
+        own = robot.parameters()
+        robot = robot.with_parameters({**settings, **{name: factor * own[name] for name, factor in factors.items()}})
+    for place, mass in payloads.items():
+        robot = robot.with_payload(place, mass)
+    return robot
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -54,6 +66,7 @@ class Trial(Short):
         velocity: (nj,) of the joints at the start [rad/s or m/s]; 0 by default.
         settings: parameters of the model that are known to be others in this trial, by dotted name.
         factors: the same, in units of what the model has.
+        payloads: place of the robot → mass that is known to be there beside in this trial [kg].
         linear: commands go along a line from each instant to the next, in place of being held.
         inner: whether the true motion at the sample times is wanted too, see ``Predicted.motion``.
         forces: whether the forces of the drives there are wanted too, see ``Predicted.forces``.
@@ -75,6 +88,7 @@ class Trial(Short):
     velocity: Array | None = None
     settings: Mapping[str, float] = field(default_factory=dict)
     factors: Mapping[str, float] = field(default_factory=dict)
+    payloads: Mapping[str, float] = field(default_factory=dict)
     activation: Array | None = None
     linear: bool = False
     inner: bool = False
@@ -96,16 +110,11 @@ class Trial(Short):
     @cached_property
     def condition(self) -> Condition:
         """Key that differs between trials in which a model has other parameter values."""
-        return tuple(sorted(self.settings.items())), tuple(sorted(self.factors.items()))
+        return tuple(tuple(sorted(own.items())) for own in (self.settings, self.factors, self.payloads))
 
     def robot_in(self, robot: R) -> R:
-        """A robot as it is in this trial: with ``settings``, and with ``factors`` times what it has."""
-        if not (self.settings or self.factors):
-            return robot
-        own = robot.parameters()
-        return robot.with_parameters(
-            {**self.settings, **{name: factor * own[name] for name, factor in self.factors.items()}}
-        )
+        """A robot as it is in this trial: with ``settings``, with ``factors`` times what it has, with ``payloads``."""
+        return robot_with(robot, self.settings, self.factors, self.payloads)
 
     @property
     def history(self) -> tuple[Same, Same, bytes, bool, PrescribedMotion | None, RecordedMotion | None]:

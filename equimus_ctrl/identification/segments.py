@@ -12,16 +12,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from equimus_ctrl.engines.predict import (
-    SET,
     SLOPE_SPAN,
-    TIMES,
     behind_sensors,
     check_columns,
     free_zeros,
+    in_its_condition,
     local_motion,
     measured_start,
     modelled_start,
-    noted,
     slope_span,
 )
 from equimus_ctrl.engines.trials import Trial
@@ -200,7 +198,7 @@ def cut(
                 f"identify from; expected at least {LEAST_SAMPLES} (it lasts from {time[0]:g} to {time[-1]:g} s)"
             )
         if shoot is None and at_rest:
-            whole = Trial.of(recording, modelled_start(model, recording))
+            whole = in_its_condition(model, recording, Trial.of(recording, modelled_start(model, recording)))
             start = np.concatenate([measured_start(recording), np.zeros(len(recording.joints))])
             trial = _sampled(whole, np.array(time[inside]))
             nj = len(recording.joints)
@@ -255,8 +253,6 @@ def _shooting_intervals(
             start=float(a),
             position=start[: len(start) // 2],
             sample_times=np.array(time[chosen]),
-            settings=noted(model, recording, SET),
-            factors=noted(model, recording, TIMES),
             linear=recording.linear,
             inner=bool(channels),
             forces=bool(channels.forces),
@@ -264,6 +260,7 @@ def _shooting_intervals(
             supposed=recording.supposed,
             recorded=recorded,
         )
+        trial = in_its_condition(model, recording, trial)
         position, velocity = np.split(behind_sensors([model], start[None, :], trial)[0], 2)
         trial = replace(trial, position=position, velocity=velocity)
         measured = np.array(recording.position[chosen])

@@ -40,8 +40,12 @@ class Body(Protocol):
         """(na,) what is in force before it begins at a pose (nj,), or anywhere, where nobody says so."""
         ...
 
-    def rest(self, command: Array) -> Array:
-        """(nj,) where it begins under a command (na,) where nobody says so."""
+    def rest(self, command: Array | None) -> Array:
+        """(nj,) where it rests under a command (na,); where it begins if nobody says a command.
+
+        Raises:
+            ModelError: where it rests nowhere under it.
+        """
         ...
 
     def place(self, position: Array, velocity: Array | None, arrived: Array) -> None:

@@ -53,9 +53,9 @@ class ElasticBody:
         """The lowest pressures."""
         return self._robot.command_limits[0]
 
-    def rest(self, command: Array) -> Array:
-        """(nj,) the pose at rest under a command (na,) [rad]."""
-        return rest_pose(self._model, command)
+    def rest(self, command: Array | None) -> Array:
+        """(nj,) the pose at rest under a command (na,), the lowest pressures by default [rad]."""
+        return rest_pose(self._model, self.command_before(None) if command is None else command)
 
     def place(self, position: Array, velocity: Array | None, arrived: Array) -> None:
         """As of any body; elements are closed."""

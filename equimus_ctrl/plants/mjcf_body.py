@@ -16,6 +16,7 @@ from equimus_ctrl.engines.limits import MAX_SPEED
 from equimus_ctrl.engines.mjcf import put_joints
 from equimus_ctrl.engines.mjcf_commands import integrate_from_here
 from equimus_ctrl.engines.mjcf_realised import LOST, function_address, realise
+from equimus_ctrl.engines.rest import rest_pose
 from equimus_ctrl.errors import ConfigError, NotAvailable
 from equimus_ctrl.models.dynamics import Dynamics
 from equimus_ctrl.models.model import Model
@@ -67,9 +68,13 @@ class MjcfBody:
             return np.clip(np.zeros(len(low)), low, high)
         return np.clip(dynamics.holding(self._home if position is None else position)[0], low, high)
 
-    def rest(self, command: Array) -> Array:
-        """The pose in which the file has it."""
-        return self._home
+    def rest(self, command: Array | None) -> Array:
+        """As of any body; where nobody says a command, the pose in which the file has it.
+
+        Raises:
+            ModelError, NotAvailable: see ``engines.rest.rest_pose``.
+        """
+        return self._home if command is None else rest_pose(self._model, command)
 
     def place(self, position: Array, velocity: Array | None, arrived: Array) -> None:
         """As of any body; filters have settled, integrators begin where their actuators are."""

@@ -257,7 +257,7 @@ class MujocoPlant:
                 f"start command {shown(command, units)} lies outside {shown(low, units, False)} to {shown(high, units)}"
             )
         reaches = self._shaped(np.asarray(command))
-        position = self._body.rest(command) if start.position is None else start.position
+        position = self._body.rest(start.command) if start.position is None else start.position
         if self._events:
             self._befall(-math.inf)
         self._body.place(np.asarray(position), start.velocity, reaches)

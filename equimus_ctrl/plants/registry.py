@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
 
@@ -32,6 +32,7 @@ class PlantRequest:
         hardware: how a real robot is reached.
         armed: whether commands are sent to it.
         record: new file for what it does.
+        notes: of that recording, beside what the plant says of itself.
     """
 
     model: Model
@@ -42,6 +43,7 @@ class PlantRequest:
     hardware: HardwareSettings | None = None
     armed: bool = False
     record: Path | None = None
+    notes: Mapping[str, str] = field(default_factory=dict)
 
 
 Carries = Literal["any", "model", "none"]
@@ -111,7 +113,14 @@ def _hardware(given: PlantRequest) -> Plant:
         raise ConfigError("a real robot has noise of its own; none can be added to it")
     if given.events:
         raise ConfigError("the scenario has events, which no program can bring about on a real robot")
-    return HardwarePlant(given.model, given.hardware, armed=given.armed, nominal=given.nominal, record=given.record)
+    return HardwarePlant(
+        given.model,
+        given.hardware,
+        armed=given.armed,
+        nominal=given.nominal,
+        record=given.record,
+        notes=given.notes,
+    )
 
 
 register_plant(

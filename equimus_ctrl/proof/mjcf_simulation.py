@@ -25,7 +25,7 @@ from equimus_ctrl.engines.choice import engine_for
 from equimus_ctrl.engines.limits import MAX_SPEED
 from equimus_ctrl.engines.mjcf import Course, commands_on, filled, measured_of, steps_of
 from equimus_ctrl.engines.mjcf_realised import Realised, realise
-from equimus_ctrl.engines.predict import SET, TIMES, noted
+from equimus_ctrl.engines.predict import in_its_condition
 from equimus_ctrl.engines.trials import Trial
 from equimus_ctrl.errors import SimulationDiverged
 from equimus_ctrl.identification.fit import FitSettings, fit
@@ -136,8 +136,7 @@ def trials_of(truth: GroundTruth) -> list[Trial]:
     still = [np.broadcast_to(d.start, (len(d.time), len(truth.noise))) for d in truth.trials if d.start is not None]
     for recording in recordings_of(truth, still):
         trial = Trial.of(recording, recording.position[0])
-        settings, factors = noted(model, recording, SET), noted(model, recording, TIMES)
-        found.append(replace(trial, settings=settings, factors=factors))
+        found.append(in_its_condition(model, recording, trial))
     return found
 
 

@@ -6,6 +6,7 @@ The only part of the library that knows file formats. What it hands on is ``equi
 from __future__ import annotations
 
 from equimus_ctrl.recordings.checks import LEG, Limits, RecordingWarning
+from equimus_ctrl.recordings.commands import CommandFile, read_commands, write_commands
 from equimus_ctrl.recordings.csvfile import read, write
 from equimus_ctrl.recordings.download import Fetched, fetch
 from equimus_ctrl.recordings.exported import Exported, Prediction
@@ -20,6 +21,7 @@ from equimus_ctrl.recordings.upstream import StaticPoses, read_static_poses
 __all__ = [
     "LEG",
     "WRITERS",
+    "CommandFile",
     "Exported",
     "Fetched",
     "Limits",
@@ -36,12 +38,14 @@ __all__ = [
     "leg_file",
     "missing_hint",
     "read",
+    "read_commands",
     "read_mapping",
     "read_path",
     "read_set",
     "read_static_poses",
     "summarise",
     "write",
+    "write_commands",
     "write_recording",
     "write_set",
 ]

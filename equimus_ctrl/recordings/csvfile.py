@@ -63,7 +63,7 @@ def from_sheet(sheet: Tabular, limits: Limits) -> Recording:
     joints, actuators = groups["pos"], groups["cmd"]
     names = {prefix: [f"{prefix}.{name}" for name in _order(prefix, groups)] for prefix in PREFIXES if groups[prefix]}
     unmeasured = {name for prefix in ("vel", "meas") for name in names.get(prefix, ()) if name not in sheet.header}
-    notes, before = _notes(sheet, actuators, limits)
+    notes, before = stated_notes(sheet, actuators, limits)
     seen = [column for column in sheet.header if column.startswith(SITE)]
     whole = ["time", *(column for group in names.values() for column in group), *seen]
     columns = [column for column in whole if column not in unmeasured]
@@ -167,7 +167,7 @@ def _unknown_column(column: str) -> str:
     return f"there is no column {shorten(column)}{nearest(column.lower(), candidates)} (known: {known})"
 
 
-def _notes(sheet: Tabular, actuators: tuple[str, ...], limits: Limits) -> tuple[dict[str, str], Array | None]:
+def stated_notes(sheet: Tabular, actuators: tuple[str, ...], limits: Limits) -> tuple[dict[str, str], Array | None]:
     """The notes without those that state ``before``, and ``before`` (n_actuators,) [Pa] where it is stated."""
     notes: dict[str, str] = {}
     before: dict[str, float] = {}

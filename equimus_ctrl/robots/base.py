@@ -50,7 +50,6 @@ class RobotTraits:
             actuator asks for.
         same_kind_of_trials: all recordings are of one kind of experiment, so what is found in some has to show in the
             others. Else some may never come near a drive's limit, say.
-        notes_set_parameters: notes of a recording may set parameters for it alone, such as a payload or a gain.
         keeps_states_of_laws: its compiled equations always hold the laws with states of their own, so that there is one
             kernel for whatever effects it has. Else only where a model has such a law: a small robot's equations, which
             are one short function without, would be several times slower.
@@ -75,7 +74,6 @@ class RobotTraits:
     forces_along_actuators: bool
     commands_are_pressures: bool
     same_kind_of_trials: bool
-    notes_set_parameters: bool
     keeps_states_of_laws: bool
     has_stance: bool
     damping_known_within: float | None

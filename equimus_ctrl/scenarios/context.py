@@ -19,6 +19,7 @@ from equimus_ctrl.models.dynamics import Dynamics
 from equimus_ctrl.models.kinematics import Kinematics
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.models.points import Points, points_of
+from equimus_ctrl.recordings.commands import CommandFile
 from equimus_ctrl.robots.base import Robot
 from equimus_ctrl.robots.elastic.morphology import Morphology, Phase, elastic_of
 from equimus_ctrl.robots.reading import reading
@@ -56,10 +57,12 @@ class CommandProfile:
     Attributes:
         times: (n,) ascending, the first at or before 0 [s].
         values: (n, na) pressures [Pa], or what else commands are.
+        linear: whether they go along a line from each to the next, in place of being held.
     """
 
     times: Array
     values: Array
+    linear: bool = False
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "times", frozen_array(self.times, 1, "command times"))
@@ -71,6 +74,8 @@ class CommandProfile:
 
     def at(self, time: float) -> Array:
         """(na,) the commands in force at ``time`` [Pa]."""
+        if self.linear:
+            return np.array([np.interp(time, self.times, column) for column in self.values.T])
         k = int(np.searchsorted(self.times, time + 1e-9, side="right")) - 1
         return np.asarray(self.values[max(k, 0)])
 
@@ -86,6 +91,8 @@ class ScenarioContext:
         missing: sentence that says how to get recordings.
         effects: what is known to be attached to the robot.
         read_path: gives times (n,) [s] and named columns (n, k) of a file.
+        read_play: gives commands of actuators, within ranges, to be played from a file, see
+            ``recordings.read_commands``.
         given: options of the scenario that people gave; others are defaults or the robot's description's.
     """
 
@@ -95,6 +102,7 @@ class ScenarioContext:
     missing: str = "there are no recordings"
     effects: tuple[Effect, ...] = ()
     read_path: Callable[[str, Sequence[str]], tuple[Array, Array]] | None = None
+    read_play: Callable[[str, Sequence[str], Sequence[str], Array, Array], CommandFile] | None = None
     given: frozenset[str] = frozenset()
 
     @property
@@ -120,14 +128,14 @@ class ScenarioContext:
                 f"{', '.join(actuators)}; {m.name} has {', '.join(m.joint_names)} and {', '.join(m.actuator_names)}"
             )
 
-    def profile(self, times: Any, values: Any) -> CommandProfile:
+    def profile(self, times: Any, values: Any, linear: bool = False) -> CommandProfile:
         """A command profile, checked against the robot's actuators and range.
 
         Raises:
             ConfigError: where a command is missing or outside the range.
         """
         m = self.robot
-        profile = CommandProfile(times, values)
+        profile = CommandProfile(times, values, linear)
         if profile.values.shape[1] != len(m.actuators):
             raise ConfigError(f"a command profile for {m.name} needs {len(m.actuators)} commands in each row")
         low, high = m.command_limits
@@ -256,6 +264,17 @@ class ScenarioContext:
         if len(times) < 2:
             raise ConfigError(f"{file}: there is one row, expected a path of at least two")
         return times - times[0], values
+
+    def read_commands(self, file: str) -> CommandFile:
+        """What a CSV file says is to be commanded.
+
+        Raises:
+            ConfigError, RecordingError: where no file can be read here, or not this, or it says what cannot be.
+        """
+        if self.read_play is None:
+            raise ConfigError(f"{file}: no files are read here")
+        m = self.robot
+        return self.read_play(file, m.actuator_names, m.joint_names, *m.command_limits)
 
     def start(self, pose: Array) -> Start:
         """A start at rest in a pose (nj,) [rad or m], under the commands that come nearest to holding it there."""

@@ -82,6 +82,8 @@ class Scenario(Short):
         arrival: what counts as being there, where that is what is asked; then hinges without range may have turned
             whole turns more.
         site: where a point of the robot should be, of which the reference is the joints' motion; None of none.
+        different: notes of what is known to be different of the robot, see ``engines.predict.noted``: a simulated one
+            is made so, and recordings say it.
     """
 
     name: str
@@ -102,6 +104,7 @@ class Scenario(Short):
     events: tuple[Event, ...] = ()
     arrival: Arrival | None = None
     site: SitePath | None = None
+    different: Mapping[str, str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         if problem := duration_problem(self.duration):

@@ -13,6 +13,7 @@ from equimus_ctrl import outputs, presets
 from equimus_ctrl.controllers.custom import as_controller
 from equimus_ctrl.controllers.registry import CONTROLLERS, make_controller
 from equimus_ctrl.effects.base import Effect
+from equimus_ctrl.engines.predict import robot_as_noted
 from equimus_ctrl.errors import ConfigError, EquimusError, SimulationDiverged, unknown_name
 from equimus_ctrl.loop import run
 from equimus_ctrl.models.kinematics import Kinematics
@@ -20,7 +21,7 @@ from equimus_ctrl.models.model import Model, nominal_model
 from equimus_ctrl.plants.hardware.settings import HardwareSettings
 from equimus_ctrl.plants.mujoco_plant import check_nominal
 from equimus_ctrl.plants.registry import PLANTS, PlantRequest, make_plant
-from equimus_ctrl.recordings import locate, read_path, read_set, write
+from equimus_ctrl.recordings import locate, read_commands, read_path, read_set, write
 from equimus_ctrl.robots.base import Robot
 from equimus_ctrl.robots.elastic.morphology import elastic_of
 from equimus_ctrl.scenarios.registry import SCENARIOS, ScenarioEntry, first_paragraph
@@ -112,7 +113,7 @@ def load_scenario(
         if described not in (known := scenario_names()):
             raise ConfigError(unknown_name("scenario", described, known, f"{robot.name}: scenarios"))
     find = recordings_of(recordings) if search else (lambda kind: ())
-    context = ScenarioContext(robot, phase, find, locate.missing_hint(), tuple(effects), read_path)
+    context = ScenarioContext(robot, phase, find, locate.missing_hint(), tuple(effects), read_path, read_commands)
     return scenario_entry(name).scenario(context, options)
 
 
@@ -265,6 +266,10 @@ def run_scenario(
         scenario = load_scenario(
             scenario, known.robot, phase=model.phase, effects=known.effects, options=options, recordings=recordings
         )
+    if scenario.different:
+        model, known = (
+            replace(own, robot=robot_as_noted(own.robot, scenario.name, scenario.different)) for own in (model, known)
+        )
     if controller is None:
         controller = scenario.controller
     if isinstance(controller, str):
@@ -276,14 +281,16 @@ def run_scenario(
     if record is not None and real:
         presets.make_folder(record.parent)
     if isinstance(plant, str):
-        request = PlantRequest(model, scenario.recorded, noise, known, scenario.events, hardware, armed, record)
+        request = PlantRequest(
+            model, scenario.recorded, noise, known, scenario.events, hardware, armed, record, scenario.different
+        )
         plant_name, machine = plant, make_plant(plant, request)
     else:
         plant_name, machine = type(plant).__name__, plant
     duration = scenario.duration
     if isinstance(machine, Ends):
         duration = min(duration, machine.duration)
-    notes = {"scenario": scenario.name, "controller": label, "seed": str(seed)}
+    notes = {"scenario": scenario.name, "controller": label, "seed": str(seed), **scenario.different}
     try:
         outcome = run(machine, driven, scenario.reference, duration, start=scenario.start, seed=seed, progress=progress)
     except SimulationDiverged as error:

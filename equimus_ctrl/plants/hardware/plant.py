@@ -7,6 +7,7 @@ import signal
 import threading
 import time as clock
 from collections import deque
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from types import FrameType
@@ -92,6 +93,7 @@ class HardwarePlant:
         nominal: what controllers may compute with; the model by default.
         record: new file for the recording, or None.
         transport: in place of the settings' own.
+        notes: of the recording.
 
     Raises:
         ConfigError: for settings that do not fit the robot.
@@ -107,9 +109,11 @@ class HardwarePlant:
         nominal: Model | None = None,
         record: Path | None = None,
         transport: Transport | None = None,
+        notes: Mapping[str, str] | None = None,
     ) -> None:
         self.settings = s = settings or HardwareSettings()
         self.armed, self._record_to, self.robot = armed, record, model.robot
+        self._notes = {"plant": "hardware", "robot": s.wire.states, **(notes or {})}
         self.interface = own = interface_of(s, model.robot)
         spec = make_spec(model.robot, 1 / s.rate, nominal or model, model.phase)
         self._spec = replace(spec, command_low=own.command_low, command_high=own.command_high)
@@ -300,9 +304,8 @@ class HardwarePlant:
         """
         self._settled()
         if self._record_to is not None and self.armed:
-            notes = {"plant": "hardware", "robot": self.settings.wire.states}
             self._stream = RecordingStream(
-                self._record_to, self._spec.joints, self._spec.actuators, self._command, notes
+                self._record_to, self._spec.joints, self._spec.actuators, self._command, self._notes
             )
         with self._lock:
             self._begun = True

@@ -13,7 +13,6 @@ TRAITS = RobotTraits(
     forces_along_actuators=True,
     commands_are_pressures=True,
     same_kind_of_trials=True,
-    notes_set_parameters=False,
     keeps_states_of_laws=True,
     has_stance=True,
     damping_known_within=4.0,

@@ -15,7 +15,6 @@ TRAITS = RobotTraits(
     forces_along_actuators=False,
     commands_are_pressures=False,
     same_kind_of_trials=False,
-    notes_set_parameters=True,
     keeps_states_of_laws=False,
     has_stance=False,
     damping_known_within=None,

@@ -1,0 +1,1 @@
+"""Experiments that tell rival explanations apart: designed within limits, run, diagnosed."""
