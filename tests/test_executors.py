@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import gc
+import itertools
 import os
 import pickle
 import signal
@@ -214,6 +216,22 @@ def test_a_lost_dask_worker_s_work_is_done_by_another(cluster: Any, tmp_path: Pa
         assert done == {k: 10 * k for k in range(6)}
     cluster.scheduler  # noqa: B018 – it is still there
     within(30, lambda: len(list(_workers(cluster))) == 2)
+
+
+@pytest.mark.slow
+def test_what_is_done_is_not_done_again_where_its_worker_is_lost(cluster: Any, tmp_path: Path) -> None:
+    gc.disable()  # nothing is let go of by chance
+    try:
+        with Where(scheduler=cluster.scheduler_address).opened() as pool:
+            pieces = pool.each_apart(begun_and_waits, [(k, tmp_path, 0) for k in range(8)])
+            had = [index for index, _ in itertools.islice(pieces, 4)]
+            for _, pid in _workers(cluster):
+                os.kill(pid, signal.SIGKILL)
+            rest = dict(pieces)
+    finally:
+        gc.enable()
+    assert {*had, *rest} == set(range(8))
+    assert [len(list(tmp_path.glob(f"{k}-*"))) for k in had] == [1] * 4
 
 
 def kills_its_worker(index: int) -> int:

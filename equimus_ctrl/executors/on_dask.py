@@ -14,7 +14,7 @@ import time
 import uuid
 import warnings
 from collections.abc import Callable, Iterator, Mapping
-from concurrent.futures import CancelledError, Future
+from concurrent.futures import CancelledError, Future, InvalidStateError
 from contextlib import contextmanager, suppress
 from typing import TYPE_CHECKING, Any
 
@@ -26,6 +26,7 @@ from equimus_ctrl.executors.versions import mismatch, processor, versions, warn_
 
 if TYPE_CHECKING:
     from distributed import Client
+    from distributed import Future as DaskFuture
 
 ANSWERS_WITHIN = 10.0
 """A scheduler, and the first of its workers [s]."""
@@ -49,7 +50,7 @@ class OnDask(Executor):
     def __init__(self, client: Client, address: str, prepare: Prepare | None = None) -> None:
         super().__init__(prepare)
         self._address, self._mixed = address, False
-        self._client, self._pool = client, client.get_executor(pure=False)
+        self._client = client
         self._session = uuid.uuid4().hex
         self._count, self._counted = 0, -COUNTED_EVERY
 
@@ -62,7 +63,7 @@ class OnDask(Executor):
         return max(self._count, 1)
 
     def _give(self, call: Call) -> Future[bytes]:
-        return _told(self._pool.submit(_do_here, self._session, pickle.dumps(call)), self.compare)
+        return _told(self._client.submit(_do_here, self._session, pickle.dumps(call), pure=False), self.compare)
 
     def compare(self, processors: Mapping[str, Mapping[str, str]]) -> None:
         """Warn, once, where a worker has another kind of processor than this computer, also one that joined later.
@@ -82,34 +83,36 @@ class OnDask(Executor):
             self._client.close(timeout=ANSWERS_WITHIN)
 
 
-def _told(
-    given: Future[tuple[bytes, str, Mapping[str, str]]], seen: Callable[[Mapping[str, Mapping[str, str]]], None]
-) -> Future[bytes]:
+def _told(given: DaskFuture, seen: Callable[[Mapping[str, Mapping[str, str]]], None]) -> Future[bytes]:
     """What a piece comes to alone, with what goes wrong in Dask in the words of an executor.
 
     Args:
-        given: the piece, as ``_do_here`` does it.
+        given: the piece, as ``_do_here`` does it. It is let go of as soon as it is done: a worker keeps what somebody
+            still wants, and where that worker is lost Dask has all of it done again.
         seen: told the worker that has done it, and its processor.
     """
     from distributed.scheduler import KilledWorker
 
     told: Future[bytes] = Future()
 
-    def tell(done: Future[tuple[bytes, str, Mapping[str, str]]]) -> None:
-        if told.cancelled():
-            return
-        try:
-            found, worker, own = done.result()
-            seen({worker: own})
-            told.set_result(found)
-        except KilledWorker as error:
-            told.set_exception(Ended(f"took {error.allowed_failures + 1} workers with it, one after the other"))
-        except CancelledError:
-            told.set_exception(
-                Gone("the Dask scheduler is gone, or it has dropped this work; the same command goes on from here")
-            )
-        except BaseException as error:
-            told.set_exception(error)
+    def tell(done: DaskFuture) -> None:
+        with suppress(InvalidStateError):  # cancelled meanwhile
+            try:
+                found, worker, own = done.result()
+                seen({worker: own})
+                told.set_result(found)
+            except KilledWorker as error:
+                told.set_exception(Ended(f"took {error.allowed_failures + 1} workers with it, one after the other"))
+            except CancelledError:
+                told.set_exception(
+                    Gone("the Dask scheduler is gone, or it has dropped this work; the same command goes on from here")
+                )
+            except InvalidStateError:
+                raise
+            except BaseException as error:
+                told.set_exception(error)
+            finally:
+                done.release()
 
     told.add_done_callback(lambda future: given.cancel() if future.cancelled() else None)
     given.add_done_callback(tell)
