@@ -27,6 +27,7 @@ def said(trials: list[Recording], model: Model = MODEL, **options: Any) -> list[
     return [text for text in found.caveats if "Residuals are larger" in text]
 
 
+@pytest.mark.slow
 def test_what_the_physics_step_does_is_not_called_physics() -> None:
     """The model that made the recordings, with 20 times the step that made them, beside noise of 10 µrad."""
     trials = recorded(MODEL, seed=3, noise=1e-5, count=1, seconds=2.0)

@@ -72,6 +72,7 @@ def test_a_message_is_one_line_that_somebody_reads() -> None:
     assert "… (3999011 characters) …" in words
 
 
+@pytest.mark.slow
 def test_output_that_cannot_be_written_is_told(told: Callable[..., str], tmp_path: Path) -> None:
     """Closed, or on a full disk."""
     command = [sys.executable, "-m", "equimus_ctrl", "list", "plants", "--json"]

@@ -132,6 +132,7 @@ class Spring:
 """
 
 
+@pytest.mark.slow
 def test_processes_come_to_the_same_bits_as_one(tmp_path: Path) -> None:
     """Also of a controller that a file defines, which other processes have not loaded."""
     (tmp_path / "spring.py").write_text(SPRING)

@@ -89,6 +89,7 @@ def jobs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[tuple[Jobs
     monkeypatch.setattr(on_slurm, "_submitter", lambda _: own)
     monkeypatch.setattr(on_slurm, "SHOWN_EVERY", 0.05)
     monkeypatch.setattr(on_slurm, "LOOKED_EVERY", 0.01)
+    monkeypatch.setattr(on_slurm, "LEAVES_WITHIN", 0.2)
     with on_slurm.on_slurm(settings) as pool:
         yield own, pool
         for job in own.all:

@@ -290,6 +290,7 @@ def upright(controller: Controller, noise: float = 0.0, position: tuple[float, f
     return run(plant, controller, HoldReference([0.0, 0.0]), 5.0, start=Start(position=np.array(position)), seed=1)
 
 
+@pytest.mark.slow
 def test_a_pole_that_falls_is_held_where_no_pid_of_the_cart_does() -> None:
     said = refusal(lambda: workflow.run_scenario("hold", "pid", model=Model(UPRIGHT)))
     assert "hinge moves away from 0°" in said
