@@ -1,0 +1,1 @@
+"""Experiments that distinguish what recordings could not: explanations compared on trials that nobody has made yet."""
