@@ -391,10 +391,14 @@ def predicted_recordings(
         robot.joint_names, notes=rivals.notes,
     )  # fmt: skip
     channels = _channels(rivals, bare)
-    trials, starts = [], []
+    trials, starts, known = [], [], dict[bytes, Array]()
     for k, own in enumerate(commands):
         times, rows = own.sampled(rivals.rate, bare.linear)
-        pose = own.start if own.start is not None else resting(rivals, truth, rows[0], simulator)
+        pose, first = own.start, rows[0].tobytes()
+        if pose is None:
+            if first not in known:
+                known[first] = resting(rivals, truth, rows[0], simulator)
+            pose = known[first]
         trials.append(
             Trial(f"trial {k + 1}", times, rows, rows[0], float(times[0]), pose, times, linear=bare.linear,
                   inner=bool(channels), forces=bool(channels.forces))
