@@ -93,15 +93,18 @@ class Rival(Short):
     @cached_property
     def spread(self) -> Array:
         """(p, p) L with LLᵀ the covariance of the parameters in units of their scale."""
-        strength, directions = np.linalg.eigh(self.precision)
-        # Rounding can take a direction that is known far better than others below nothing.
-        least = np.finfo(float).eps * strength[-1] * len(strength)
-        return np.asarray(directions / np.sqrt(np.maximum(strength, least)))
+        return root_of_inverse(self.precision)
 
     def draws(self, rng: np.random.Generator, count: int) -> Array:
-        """(count, p) parameters from their normal distribution, within their bounds [unit of each]."""
+        """(count, p) parameters from their normal distribution, within their bounds [unit of each].
+
+        What the recordings do not show varies by no more than its scale, its own size mostly: the information is that
+        of small changes, and says too little of large ones, which the recordings would have shown.
+        """
         parameters = self.parameters
-        drawn = self.theta + parameters.scale * (rng.standard_normal((count, len(self.theta))) @ self.spread.T)
+        share = parameters.scale / (parameters.high - parameters.low)
+        spread = root_of_inverse(self.information + np.diag(np.maximum(UNIFORM * share**2, 1.0)))
+        drawn = self.theta + parameters.scale * (rng.standard_normal((count, len(self.theta))) @ spread.T)
         return np.clip(drawn, parameters.low, parameters.high)
 
     @property
@@ -169,6 +172,14 @@ class Rival(Short):
 
 PLACED = ("effect", "location")
 """Of an effect in a record, what are no parameters."""
+
+
+def root_of_inverse(precision: Array) -> Array:
+    """(p, p) L with LLᵀ the inverse of a symmetric positive matrix."""
+    strength, directions = np.linalg.eigh(precision)
+    # Rounding can take a direction that is known far less than others below nothing.
+    least = np.finfo(float).eps * strength[-1] * len(strength)
+    return np.asarray(directions / np.sqrt(np.maximum(strength, least)))
 
 
 def information(fit: Fit, noise: Noise) -> Array:

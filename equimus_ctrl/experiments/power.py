@@ -19,7 +19,7 @@ from scipy.special import ndtr, ndtri
 
 from equimus_ctrl.diagnosis.rivals import Rivals
 from equimus_ctrl.errors import SimulationDiverged
-from equimus_ctrl.experiments.refitting import Target, refitted
+from equimus_ctrl.experiments.refitting import Target, as_estimated, refitted
 from equimus_ctrl.experiments.separation import Commands, Separation, predicted_trials, separations
 from equimus_ctrl.identification.simulators import Simulator
 from equimus_ctrl.shown import Short
@@ -145,12 +145,15 @@ def _gaps(
         except SimulationDiverged:
             continue
         target = Target.of(rivals, truth, segments, simulator)
+        times = [s.trial.sample_times for s in segments]
         z = np.linalg.solve(rival.spread, (theta - rival.theta) / rival.parameters.scale)
         lost = float(z @ own @ np.linalg.solve(np.eye(len(z)) + own, z))
         for j in others:
             other = rivals.rivals[j]
             led = other.theta + other.parameters.scale * (other.spread @ apart.undone(first, j))
-            found[j].append(max(refitted(other, target, [led]).cost - lost, LEAST))
+            refit = refitted(other, target, [led])
+            seen = as_estimated(rivals, times, refit.left, np.random.default_rng(0))
+            found[j].append(max(min(seen, refit.cost) - lost, LEAST))
     if others and not found[others[0]]:
         raise SimulationDiverged(f"{rival.label}: the simulation diverges with every draw of its parameters")
     return {j: np.array(own) for j, own in found.items()}

@@ -19,6 +19,7 @@ from scipy.optimize import least_squares
 
 from equimus_ctrl.diagnosis.rivals import Rival, Rivals
 from equimus_ctrl.experiments.separation import Starts
+from equimus_ctrl.identification.noise import Noise, estimate_noise, log_likelihood
 from equimus_ctrl.identification.residuals import DIVERGED, difference
 from equimus_ctrl.identification.segments import Segment
 from equimus_ctrl.identification.simulators import Simulator
@@ -40,11 +41,13 @@ class Refit(Short):
         cost: c at its minimum, −2Δln L in favour of the other, which fits perfectly.
         theta: (p,) there [unit of each].
         converged: whether the search ended by itself.
+        left: for each segment (m, nc) what it leaves unexplained there, without noise [rad, m or a channel's own unit].
     """
 
     cost: float
     theta: Array
     converged: bool
+    left: tuple[Array, ...]
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,6 +95,11 @@ class Target:
             rows.append(self.starts.reduced(k, np.moveaxis(away, 0, -1)))
         return np.concatenate(rows)
 
+    def left(self, model: Model) -> tuple[Array, ...]:
+        """For each segment (m, nc) what a model leaves of the values, the best starts to first order."""
+        found = self.simulator([model], self.segments, [s.start[None] for s in self.segments])
+        return tuple(self.starts.left(k, self.values[k] - own.position[0]) for k, own in enumerate(found))
+
 
 def refitted(rival: Rival, target: Target, begins: Sequence[Array] = ()) -> Refit:
     """A rival refitted to what another shows, from the better of its estimates and other values (p,)."""
@@ -118,4 +126,40 @@ def refitted(rival: Rival, target: Target, begins: Sequence[Array] = ()) -> Refi
         lambda point: whole([point])[:, 0], first, jac=slopes, bounds=(low, high), ftol=TOLERANCE, xtol=TOLERANCE,
         gtol=None, max_nfev=EVALUATIONS,
     )  # fmt: skip
-    return Refit(2.0 * float(found.cost), np.asarray(found.x * free.scale), bool(found.status > 0))
+    theta = np.asarray(found.x * free.scale)
+    return Refit(2.0 * float(found.cost), theta, bool(found.status > 0), target.left(rival.model_at(theta)))
+
+
+def as_estimated(rivals: Rivals, times: Sequence[Array], left: Sequence[Array], rng: np.random.Generator) -> float:
+    """−2Δln L of a refit where the noise is estimated along with it, as diagnoses do.
+
+    What a rival leaves unexplained is then taken for noise, more and correlated, as far as that is more likely. So
+    ln L falls by far less than under the noise that there is, where much is left. Noise is drawn for what has been
+    measured so far and for the trial; with it and what is left, the noise is estimated anew.
+
+    Args:
+        rivals: whose noise it is, and how much was measured.
+        times: for each segment of the trial (m,) [s].
+        left: for each (m, nc), see ``Refit.left``.
+        rng: by which the noise is drawn.
+    """
+    noise = rivals.noise
+    earlier = np.arange(max(round(rivals.n / len(noise)), 2)) / rivals.rate
+    whole = [earlier, *times]
+    drawn = [drawn_noise(noise, time, rng) for time in whole]
+    with_left = [drawn[0], *(own + more for own, more in zip(drawn[1:], left, strict=True))]
+    found = (-2.0 * log_likelihood(estimate_noise(whole, own), whole, own) for own in (with_left, drawn))
+    return next(found) - next(found)
+
+
+def drawn_noise(noise: Noise, time: Array, rng: np.random.Generator) -> Array:
+    """(m, nc) noise at times (m,) [s], see ``identification.noise``."""
+    white, steps = rng.standard_normal((2, len(time), len(noise)))
+    found = np.empty_like(white)
+    for c, own in enumerate(noise):
+        kept = np.exp(-np.diff(time) / own.time)
+        state = steps[:, c].copy()
+        for k, share in enumerate(kept, start=1):
+            state[k] = share * state[k - 1] + np.sqrt(1.0 - share**2) * state[k]
+        found[:, c] = own.white * white[:, c] + own.coloured * state
+    return found

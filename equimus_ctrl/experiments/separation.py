@@ -93,12 +93,14 @@ class Starts:
     Attributes:
         noise: by which values are whitened.
         segments: whose starts.
+        slopes: for each (m, nc, s) derivatives by a start.
         by_start: for each (N, s) N.
         answers: for each (s, N) s of v.
     """
 
     noise: Noise
     segments: tuple[Segment, ...]
+    slopes: tuple[Array, ...]
     by_start: tuple[Array, ...]
     answers: tuple[Array, ...]
 
@@ -110,7 +112,7 @@ class Starts:
             own = whiten(noise, segment.trial.sample_times, slope).reshape(-1, slope.shape[2])
             columns.append(own)
             answers.append(np.linalg.solve(own.T @ own + np.diag(start_precision(segment, noise) ** 2), own.T))
-        return cls(noise, tuple(segments), tuple(columns), tuple(answers))
+        return cls(noise, tuple(segments), tuple(slopes), tuple(columns), tuple(answers))
 
     def reduced(self, place: int, values: Array) -> Array:
         """(N + s, k) of values (m, nc, k) of a segment [rad, m or a channel's own unit]."""
@@ -118,6 +120,11 @@ class Starts:
         whole = whiten(self.noise, segment.trial.sample_times, values).reshape(-1, values.shape[2])
         own = self.answers[place] @ whole
         return np.concatenate([whole - by_start @ own, start_precision(segment, self.noise)[:, None] * own])
+
+    def left(self, place: int, values: Array) -> Array:
+        """(m, nc) of values (m, nc) of a segment, what no start takes, not whitened."""
+        whole = whiten(self.noise, self.segments[place].trial.sample_times, values[..., None])
+        return np.asarray(values - self.slopes[place] @ (self.answers[place] @ whole.ravel()))
 
 
 @dataclass(frozen=True, eq=False)
