@@ -14,6 +14,8 @@ from itertools import permutations
 from typing import Any, Protocol
 
 import numpy as np
+from scipy.linalg import solve_triangular
+from scipy.optimize import lsq_linear
 
 from equimus_ctrl.diagnosis.estimates import Named
 from equimus_ctrl.diagnosis.fitting import Fitted
@@ -38,6 +40,8 @@ from equimus_ctrl.types import Array
 UNIFORM = 12.0
 """Of a uniform distribution, the square of its range over its variance."""
 NOTHING = "no missing physics"
+TIGHT = 1e-12
+"""Room for what is at a bound, in units of its scale."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -99,13 +103,23 @@ class Rival(Short):
         """(count, p) parameters from their normal distribution, within their bounds [unit of each].
 
         What the recordings do not show varies by no more than its scale, its own size mostly: the information is that
-        of small changes, and says too little of large ones, which the recordings would have shown.
+        of small changes, and says too little of large ones, which the recordings would have shown. A draw that leaves
+        the bounds is taken to where, within them, it is the least standard deviations away: to clip it would break
+        what is known of combinations.
         """
-        parameters = self.parameters
-        share = parameters.scale / (parameters.high - parameters.low)
-        spread = root_of_inverse(self.information + np.diag(np.maximum(UNIFORM * share**2, 1.0)))
-        drawn = self.theta + parameters.scale * (rng.standard_normal((count, len(self.theta))) @ spread.T)
-        return np.clip(drawn, parameters.low, parameters.high)
+        free = self.parameters
+        share = free.scale / (free.high - free.low)
+        precision = self.information + np.diag(np.maximum(UNIFORM * share**2, 1.0))
+        root = np.linalg.cholesky(precision).T
+        low, high = (free.low - self.theta) / free.scale, (free.high - self.theta) / free.scale
+        low, high = np.minimum(low, -TIGHT), np.maximum(high, TIGHT)  # estimates at a bound
+        found = []
+        for own in rng.standard_normal((count, len(self.theta))):
+            change = solve_triangular(root, own)
+            if np.any(change < low) or np.any(change > high):
+                change = lsq_linear(root, own, (low, high), method="bvls").x
+            found.append(np.clip(self.theta + free.scale * change, free.low, free.high))
+        return np.array(found)
 
     @property
     def n_effect_parameters(self) -> int:

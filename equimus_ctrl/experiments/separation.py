@@ -41,7 +41,7 @@ SETTLING = 20.0
 """How long a robot that need not start at rest may take to come to rest under its first command [s]."""
 STILL = 0.5
 """Over so long it may move no more than noise then [s]."""
-UNSEEN = 0.01
+UNSEEN = 0.1
 """What is free counts along directions that change predictions by more than this, in χ² at one standard deviation."""
 SETTLED = 4.0
 """Of a Ḡ in the Jensen–Rényi divergence: two normal densities that far apart overlap by exp(−Ḡ/4)."""
