@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
@@ -15,7 +15,6 @@ from equimus_ctrl.diagnosis.results import Equivalent, Finding
 from equimus_ctrl.diagnosis.screening import Screened
 from equimus_ctrl.diagnosis.search import Search
 from equimus_ctrl.diagnosis.search_state import SearchState
-from equimus_ctrl.identification.parameters import default_bounds
 from equimus_ctrl.models.model import Model
 
 MOST = 8
@@ -85,15 +84,14 @@ def just_below(model: Model, screened: Sequence[Screened], threshold: Callable[[
         size = smallest_size(s, threshold(s.candidate.n_parameters))
         nearest = int(np.argmin(np.abs(np.log(np.maximum(np.abs(sizes), 1e-300) / max(size, 1e-300)))))
         values = {**s.tried[nearest], key: nothing + math.copysign(size, sizes[nearest])}
-        low, high = default_bounds(*_first_of(model, s, values, key)) if size <= np.abs(sizes).max() else (1.0, 0.0)
-        if low <= values[key] <= high:
+        if size <= np.abs(sizes).max() and _can_be(s, values, key, model):
             found.append((size / float(np.median(np.abs(sizes))), Part(s.candidate, values)))
     found.sort(key=lambda own: -own[0])
     return tuple(part for _, part in found[:MOST])
 
 
-def _first_of(model: Model, screened: Screened, values: dict[str, float], key: str) -> tuple[Model, str]:
-    """A model with the effect as it was guessed, and the dotted name of its size there."""
-    guessed = {**values, key: screened.tried[0][key]}
-    whole = Model(model.robot, (*model.effects, *screened.candidate.attached(guessed)), model.phase)
-    return whole, whole.effect_prefixes()[len(model.effects)] + key
+def _can_be(screened: Screened, values: Mapping[str, float], key: str, model: Model) -> bool:
+    """Whether a value of an effect's size is within its bounds at all of its places."""
+    effects = screened.candidate.attached({**values, key: screened.tried[0][key]})
+    bounds = [effect.bounds(key, model.robot) for effect in effects]
+    return all(low <= values[key] <= high for low, high in bounds)

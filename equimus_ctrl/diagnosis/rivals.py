@@ -2,11 +2,13 @@
 
 A rival is a model with its effects, the estimates of all that is free in it, and what the recordings so far say of
 these: the Fisher information A = Σ (W ∂y/∂θ)ᵀ(W ∂y/∂θ), W whitening the noise, the free numbers of each start
-eliminated with their prior (a Schur complement). Neither recordings nor fits are needed any more, so a record holds it.
+eliminated with their prior. Neither recordings nor fits are needed any more, so a record holds it.
 """
 
 from __future__ import annotations
 
+import hashlib
+import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property
@@ -27,9 +29,9 @@ from equimus_ctrl.engines.base import EngineName
 from equimus_ctrl.engines.choice import engine_for
 from equimus_ctrl.engines.predict import FREE, ZERO
 from equimus_ctrl.errors import ConfigError
-from equimus_ctrl.identification.channels import ALSO
-from equimus_ctrl.identification.fit import Fit
-from equimus_ctrl.identification.noise import JointNoise, Noise, whiten
+from equimus_ctrl.identification.channels import ALSO, Channels
+from equimus_ctrl.identification.information import information, root_of_inverse
+from equimus_ctrl.identification.noise import JointNoise, Noise
 from equimus_ctrl.identification.parameters import FreeParameter, FreeParameters
 from equimus_ctrl.identification.segments import Segment
 from equimus_ctrl.identification.simulators import Simulator
@@ -155,19 +157,12 @@ class Rival(Short):
 
     @classmethod
     def from_dict(cls, data: Mapping[str, Any], nominal: Model) -> Rival:
-        """What ``to_dict`` wrote down.
-
-        Raises:
-            ConfigError: where the nominal model is another one than that of the record.
-        """
+        """What ``to_dict`` wrote down."""
         own = data["model"]
         effects = tuple(
             effects_base.make(e["effect"], e["location"], {k: v for k, v in e.items() if k not in PLACED}, "rivals")
             for e in own["effects"]
         )
-        if not nominal.robot.has_parameters(own["parameters"]):
-            wrong = next(n for n in own["parameters"] if not nominal.robot.has_parameters([n]))
-            raise ConfigError(f"{nominal.name} has no parameter {wrong}, expected the model that was diagnosed")
         model = Model(nominal.robot.with_parameters(own["parameters"]), effects, nominal.phase)
         model = model.with_groups(own["by_group"]) if own["by_group"] else model
         free = tuple(FreeParameter(**{**f, "also": tuple(f["also"])}) for f in data["free"])
@@ -186,40 +181,6 @@ class Rival(Short):
 
 PLACED = ("effect", "location")
 """Of an effect in a record, what are no parameters."""
-
-
-def root_of_inverse(precision: Array) -> Array:
-    """(p, p) L with LLᵀ the inverse of a symmetric positive matrix."""
-    strength, directions = np.linalg.eigh(precision)
-    # Rounding can take a direction that is known far less than others below nothing.
-    least = np.finfo(float).eps * strength[-1] * len(strength)
-    return np.asarray(directions / np.sqrt(np.maximum(strength, least)))
-
-
-def information(fit: Fit, noise: Noise) -> Array:
-    """(p, p) Fisher information of a fit's recordings on its parameters, in units of their scale, see the module.
-
-    Args:
-        fit: whose derivatives are taken.
-        noise: of joints and other channels.
-    """
-    by_theta, by_start = fit.derivatives
-    p = len(fit.theta)
-    total = np.zeros((p, p))
-    for segment, slopes, starts in zip(fit.problem.segments, by_theta, by_start, strict=True):
-        s = starts.shape[2]
-        whole = np.concatenate([starts, slopes * fit.parameters.scale], axis=2)
-        rows = whiten(noise, segment.trial.sample_times, whole).reshape(-1, s + p)
-        prior = np.hstack([np.diag(start_precision(segment, noise)), np.zeros((s, p))])
-        triangle = np.linalg.qr(np.vstack([prior, rows]), mode="r")[s:, s:]
-        total += triangle.T @ triangle
-    return np.asarray((total + total.T) / 2)
-
-
-def start_precision(segment: Segment, noise: Noise) -> Array:
-    """(s,) one over the standard deviation that is known of each free number of a segment's start."""
-    sigma = np.array([noise[j].sigma for j in segment.start_joints])
-    return np.asarray(segment.start_weights / sigma)
 
 
 class Diagnosed(Protocol):
@@ -270,8 +231,9 @@ class Rivals(Short):
         noise: of every joint, and of every other channel that was compared.
         rate: samples per second.
         n: how many numbers have been measured.
-        notes: that recordings have: which channels are compared, which sensors' zeros are unknown, how commands go from
-            one row to the next.
+        channels: what is compared beside joint positions.
+        zeros: joints whose sensors' zeros are unknown in each recording.
+        linear: whether commands go along a line from each row to the next.
         start: (nj,) where the joints were when recordings began [rad or m].
         interval: length of the shooting intervals that are fitted [s]; None where trials are simulated whole.
         trust: (2 nj,) in starts that are read off, see ``Segment.trust``; None where they are simulated whole.
@@ -286,7 +248,9 @@ class Rivals(Short):
     noise: Noise
     rate: float
     n: int
-    notes: Mapping[str, str]
+    channels: Channels
+    zeros: tuple[int, ...]
+    linear: bool
     start: Array
     interval: float | None
     trust: Array | None
@@ -298,6 +262,15 @@ class Rivals(Short):
     def told(self) -> str:
         """How they are called."""
         return f" of {self.model.name}: {'; '.join(rival.label for rival in self.rivals)}"
+
+    @property
+    def notes(self) -> dict[str, str]:
+        """That recordings of the robot have which are to be fitted as those so far."""
+        robot = self.model.robot
+        names = self.channels.names(robot)
+        notes = {f"{ZERO}{robot.joint_names[j]}": FREE for j in self.zeros}
+        notes |= {ALSO: " ".join(names)} if names else {}
+        return notes | ({"interpolation": "linear"} if self.linear else {})
 
     @property
     def pairs(self) -> list[tuple[int, int]]:
@@ -351,17 +324,15 @@ class Rivals(Short):
         nj = whole.measured.shape[1]
         read_off = () if at_rest else segments
         trusts = [np.repeat([1.0, s.slope_span / 2], nj) if s.trust is None else s.trust for s in read_off]
-        names = whole.channels.names(robot)
-        notes = {f"{ZERO}{robot.joint_names[j]}": FREE for j in whole.zeros}
-        notes |= {ALSO: " ".join(names)} if names else {}
-        notes |= {"interpolation": "linear"} if whole.trial.linear else {}
         return cls(
             diagnosis.model,
             tuple(found),
             noise,
             float(1.0 / np.median(steps)),
             sum(s.outputs.size for s in segments),
-            notes,
+            whole.channels,
+            whole.zeros,
+            whole.trial.linear,
             np.array(whole.start[:nj]),
             diagnosis.interval,
             np.median(trusts, axis=0) if trusts else None,
@@ -378,11 +349,14 @@ class Rivals(Short):
         """As JSON data; the nominal model is not among them."""
         return {
             "verdict": self.verdict,
+            "robot": identity(self.model),
             "explanations": [rival.to_dict(self.model) for rival in self.rivals],
             "noise": [asdict(own) for own in self.noise],
             "rate_hz": self.rate,
             "n": self.n,
-            "notes": dict(self.notes),
+            "channels": asdict(self.channels),
+            "zeros": list(self.zeros),
+            "linear": self.linear,
             "start": self.start.tolist(),
             "interval_s": self.interval,
             "trust": None if self.trust is None else self.trust.tolist(),
@@ -402,13 +376,24 @@ class Rivals(Short):
         Raises:
             ConfigError: where the model is another one.
         """
+        if data["robot"] != identity(model):
+            raise ConfigError(
+                f"{model.name} is not the model that was diagnosed: its joints, actuators, parameters or XML are "
+                "others; expected the one that the record is of"
+            )
         return cls(
             model,
             tuple(Rival.from_dict(own, model) for own in data["explanations"]),
             tuple(JointNoise(**own) for own in data["noise"]),
             data["rate_hz"],
             data["n"],
-            dict(data["notes"]),
+            Channels(
+                tuple(data["channels"]["velocities"]),
+                tuple((name, axis) for name, axis in data["channels"]["sites"]),
+                tuple(data["channels"]["forces"]),
+            ),
+            tuple(data["zeros"]),
+            data["linear"],
             np.array(data["start"], dtype=np.float64),
             data["interval_s"],
             None if data["trust"] is None else np.array(data["trust"], dtype=np.float64),
@@ -417,6 +402,13 @@ class Rivals(Short):
             tuple(Missing(o["location"], o["depends_on"], tuple(o["places"])) for o in data["unexplained"]),
             data["verdict"],
         )
+
+
+def identity(model: Model) -> str:
+    """Hexadecimal digits that tell a nominal model's robot from others."""
+    robot = model.robot
+    whole = [model.phase, robot.joint_names, robot.actuator_names, robot.parameters(), robot.fingerprint]
+    return hashlib.sha256(json.dumps(whole, sort_keys=True).encode()).hexdigest()
 
 
 def rival_of(fitted: Fitted, noise: Noise, accepted: bool = True) -> Rival:

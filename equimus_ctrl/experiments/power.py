@@ -19,8 +19,9 @@ from scipy.special import ndtr, ndtri
 
 from equimus_ctrl.diagnosis.rivals import Rivals
 from equimus_ctrl.errors import SimulationDiverged
+from equimus_ctrl.experiments.predicted import Commands, predicted_trials
 from equimus_ctrl.experiments.refitting import Target, as_estimated, refitted
-from equimus_ctrl.experiments.separation import Commands, Separation, predicted_trials, separations
+from equimus_ctrl.experiments.separation import Separation, separations
 from equimus_ctrl.identification.simulators import Simulator
 from equimus_ctrl.shown import Short
 from equimus_ctrl.types import Array

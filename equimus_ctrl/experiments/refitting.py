@@ -116,7 +116,7 @@ def refitted(rival: Rival, target: Target, begins: Sequence[Array] = ()) -> Refi
     def slopes(point: Array) -> Array:
         steps = target.by * np.where(point + target.by <= high, 1.0, -1.0)
         found = whole([point, *(point + np.diag(steps))])
-        return (found[:, 1:] - found[:, :1]) / steps
+        return np.asarray((found[:, 1:] - found[:, :1]) / steps)
 
     inside = [np.clip(theta / free.scale, low, high) for theta in (rival.theta, *begins)]
     first = inside[int(np.argmin((whole(inside) ** 2).sum(axis=0)))]
@@ -148,14 +148,14 @@ def as_estimated(rivals: Rivals, times: Sequence[Array], left: Sequence[Array], 
     whole = [earlier, *times]
     drawn = [drawn_noise(noise, time, rng) for time in whole]
     with_left = [drawn[0], *(own + more for own, more in zip(drawn[1:], left, strict=True))]
-    found = (-2.0 * log_likelihood(estimate_noise(whole, own), whole, own) for own in (with_left, drawn))
-    return next(found) - next(found)
+    found = iter([-2.0 * log_likelihood(estimate_noise(whole, own), whole, own) for own in (with_left, drawn)])
+    return float(next(found) - next(found))
 
 
 def drawn_noise(noise: Noise, time: Array, rng: np.random.Generator) -> Array:
     """(m, nc) noise at times (m,) [s], see ``identification.noise``."""
     white, steps = rng.standard_normal((2, len(time), len(noise)))
-    found = np.empty_like(white)
+    found: Array = np.empty((len(time), len(noise)))
     for c, own in enumerate(noise):
         kept = np.exp(-np.diff(time) / own.time)
         state = steps[:, c].copy()

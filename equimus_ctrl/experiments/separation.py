@@ -20,67 +20,28 @@ samples. The free numbers of starts are eliminated before, with the prior that t
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
-from equimus_ctrl.diagnosis.rivals import Rival, Rivals, start_precision
-from equimus_ctrl.engines.rest import rest_pose
-from equimus_ctrl.engines.trials import Predicted, Trial
-from equimus_ctrl.errors import ConfigError, SimulationDiverged
-from equimus_ctrl.identification.channels import AXES, Channels
+from equimus_ctrl.diagnosis.rivals import Rival, Rivals
+from equimus_ctrl.engines.trials import Predicted
+from equimus_ctrl.experiments.predicted import Commands, predicted_trials
+from equimus_ctrl.identification.information import start_precision
 from equimus_ctrl.identification.noise import Noise, whiten
 from equimus_ctrl.identification.residuals import difference
-from equimus_ctrl.identification.segments import Segment, cut
+from equimus_ctrl.identification.segments import Segment
 from equimus_ctrl.identification.simulators import Simulator
 from equimus_ctrl.models.model import Model
-from equimus_ctrl.shown import Short
-from equimus_ctrl.types import Array, Recording
+from equimus_ctrl.types import Array
 
-SETTLING = 20.0
-"""How long a robot that need not start at rest may take to come to rest under its first command [s]."""
-STILL = 0.5
-"""Over so long it may move no more than noise then [s]."""
 UNSEEN = 0.1
 """What is free counts along directions that change predictions by more than this, in χ² at one standard deviation."""
 SETTLED = 4.0
 """Of a Ḡ in the Jensen–Rényi divergence: two normal densities that far apart overlap by exp(−Ḡ/4)."""
 BEYOND = 1e-3
 """What distances beyond those that settle all pairs count: enough that a search still finds upwards."""
-
-
-@dataclass(frozen=True, eq=False, repr=False)
-class Commands(Short):
-    """What is commanded in a trial.
-
-    Attributes:
-        times: (n,) ascending instants from which each command holds, or goes along a line to the next [s].
-        commands: (n, na), in the unit of each actuator's command; the first has been in force for long.
-        duration: of the trial [s].
-        start: (nj,) where the joints are at first, at rest [rad or m]; by default where the first command holds them.
-    """
-
-    times: Array
-    commands: Array
-    duration: float
-    start: Array | None = None
-
-    def __post_init__(self) -> None:
-        if len(self.times) != len(self.commands) or not np.all(np.diff(self.times) > 0):
-            raise ConfigError(
-                f"{len(self.commands)} commands at {len(self.times)} times, expected one each, the times ascending"
-            )
-        if not len(self.times) or not self.times[0] < self.duration:
-            raise ConfigError(f"a trial of {self.duration:g} s has no command before its end, expected one or more")
-
-    def sampled(self, rate: float, linear: bool = False) -> tuple[Array, Array]:
-        """(m,) sample times at a rate [1/s], and (m, na) the commands there."""
-        count = max(int(np.ceil((self.duration - self.times[0]) * rate - 1e-9)), 1)
-        times = self.times[0] + np.arange(count) / rate
-        if linear:
-            return times, np.column_stack([np.interp(times, self.times, column) for column in self.commands.T])
-        # A command that begins at a sample holds there, whatever rounding makes of the instant.
-        return times, self.commands[np.searchsorted(self.times, times + 1e-6 / rate, side="right") - 1]
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,11 +68,12 @@ class Starts:
     @classmethod
     def of(cls, noise: Noise, segments: Sequence[Segment], slopes: Sequence[Array]) -> Starts:
         """Of derivatives (m, nc, s) by the free numbers of each segment's start."""
-        columns, answers = [], []
+        columns, answers = list[Array](), list[Array]()
         for segment, slope in zip(segments, slopes, strict=True):
             own = whiten(noise, segment.trial.sample_times, slope).reshape(-1, slope.shape[2])
             columns.append(own)
-            answers.append(np.linalg.solve(own.T @ own + np.diag(start_precision(segment, noise) ** 2), own.T))
+            held = own.T @ own + np.diag(start_precision(segment, noise) ** 2)
+            answers.append(np.asarray(np.linalg.solve(held, own.T), dtype=np.float64))
         return cls(noise, tuple(segments), tuple(slopes), tuple(columns), tuple(answers))
 
     def reduced(self, place: int, values: Array) -> Array:
@@ -142,7 +104,7 @@ class Separation:
     along: int
     gram: Array
     places: tuple[slice, ...]
-    sound: Array
+    sound: NDArray[np.bool_]
     n: int
 
     def gap(self, first: int, second: int, repeats: float = 1.0) -> float:
@@ -241,7 +203,7 @@ class _Neighbours:
     slopes: list[Array]
     by_start: list[Array]
     places: tuple[slice, ...]
-    sound: list[Array]
+    sound: list[NDArray[np.bool_]]
 
     @classmethod
     def of(
@@ -249,11 +211,11 @@ class _Neighbours:
     ) -> _Neighbours:
         """Simulate them, one batch."""
         by = difference(rivals.model, simulator)
-        models, turns, first = list[Model](), list[Array](), list[int]()
+        models, turns, first = [rival.model for rival in rivals.rivals], list[Array](), list[int]()
         for k, rival in enumerate(rivals.rivals):
-            steps, turn = _steps(rival, None if bases is None else bases[k], by)
+            points, turn = _neighbours(rival, None if bases is None else bases[k], by)
             first.append(len(models))
-            models += [rival.model, *(rival.model_at(rival.theta + step) for step in steps)]
+            models += [rival.model_at(theta) for theta in points]
             turns.append(turn)
         most = max(len(segment.free_at) for segment in segments)
         own = len(models)
@@ -267,7 +229,7 @@ class _Neighbours:
         places = tuple(slice(int(e) - t.shape[1], int(e)) for e, t in zip(ends, turns, strict=True))
         whole = cls([], [], [], places, [])
         for segment, found in zip(segments, simulator(models, segments, starts), strict=True):
-            whole._add(segment, found, first, turns, own, first[along], by)
+            whole._add(segment, found, first, turns, own, along, by)
         return whole
 
     def _add(
@@ -290,10 +252,10 @@ class _Neighbours:
             change = np.where(sound[:, None, None], position[steps] - position[at], 0.0)
             slopes.append(np.moveaxis(change, 0, -1) @ turn)
         moved = np.where(found.sound[own:, None, None], position[own:] - position[truth], 0.0) / by
-        self.predicted.append(np.moveaxis(position[list(first)], 0, -1))
+        self.predicted.append(np.moveaxis(position[: len(first)], 0, -1))
         self.slopes.append(np.concatenate(slopes, axis=2))
         self.by_start.append(np.moveaxis(moved, 0, -1)[..., : len(segment.free_at)])
-        self.sound.append(found.sound[list(first)])
+        self.sound.append(found.sound[: len(first)])
 
     def separation(self, along: int, starts: Starts, places: Sequence[int]) -> Separation:
         """Of the trial that some of the segments make up."""
@@ -309,24 +271,20 @@ class _Neighbours:
         return Separation(along, gram, behind, np.all([self.sound[k] for k in places], axis=0), n)
 
 
-def _steps(rival: Rival, basis: Array | None, by: float) -> tuple[Array, Array]:
-    """(k, p) steps of θ within its bounds, and (k, q) how the changes that they make add up to derivatives by z.
+def _neighbours(rival: Rival, basis: Array | None, by: float) -> tuple[list[Array], Array]:
+    """[(p,)] a point and its neighbours within the bounds, and (k, q) how their changes add up to derivatives by z.
 
-    Without a basis each parameter by itself, in units of its scale; else along each direction of the basis, by as much
-    of the parameter that changes most.
+    Without a basis each parameter goes by itself, in units of its scale, from the estimates. Else all go along each
+    direction of the basis, by as much of the parameter that goes farthest, from where that is within the bounds.
     """
     free = rival.parameters
     if basis is None:
         away = by * free.scale * np.where(rival.theta + by * free.scale <= free.high, 1.0, -1.0)
-        return np.diag(away), rival.spread / (away / free.scale)[:, None]
+        return [rival.theta, *(rival.theta + np.diag(away))], rival.spread / (away / free.scale)[:, None]
     whole = rival.spread @ basis
     size = by / np.maximum(np.abs(whole).max(axis=0, initial=0.0), 1e-300)
-    steps = free.scale * (whole * size).T
-    # Where one leads out of the bounds, its opposite may not.
-    out = np.any((rival.theta + steps < free.low) | (rival.theta + steps > free.high), axis=1)
-    sign = np.where(out, -1.0, 1.0)
-    inside = np.clip(rival.theta + sign[:, None] * steps, free.low, free.high) - rival.theta
-    return inside, np.diag(sign / size)
+    inside = np.clip(rival.theta, free.low + by * free.scale, free.high - by * free.scale)
+    return [inside, *(inside + free.scale * (whole * size).T)], np.diag(1.0 / size)
 
 
 def leading(rivals: Rivals, examples: Sequence[Separation], least: float = UNSEEN) -> list[Array]:
@@ -364,115 +322,3 @@ def divergence(separation: Separation, weights: Array | None = None) -> float:
     distances = separation.distances
     mixed = float(own @ np.exp(-distances / SETTLED) @ own)
     return -float(np.log(mixed)) + BEYOND * float(own @ np.log1p(distances) @ own)
-
-
-def predicted_trials(
-    rivals: Rivals, truth: Model, commands: Sequence[Commands], simulator: Simulator
-) -> list[list[Segment]]:
-    """Trials as they would be recorded without noise, cut as a diagnosis cuts them.
-
-    Args:
-        rivals: whose recordings' rate, notes and shooting intervals they have.
-        truth: the robot.
-        commands: of each trial.
-        simulator: that simulates.
-
-    Raises:
-        ConfigError: where the robot does not come to rest under the first command.
-        SimulationDiverged: where the simulation does.
-    """
-    recordings = predicted_recordings(rivals, truth, commands, simulator)
-    segments = cut(rivals.model, recordings, shoot=rivals.interval, fit_start=True)
-    if rivals.trust is not None:  # without noise, starts would seem to be as sure as parabolas are
-        segments = [replace(segment, trust=rivals.trust) for segment in segments]
-    return [[s for s in segments if s.recording == k] for k in range(len(recordings))]
-
-
-def predicted_recordings(
-    rivals: Rivals, truth: Model, commands: Sequence[Commands], simulator: Simulator
-) -> list[Recording]:
-    """The same before they are cut."""
-    robot, nj = truth.robot, len(truth.robot.joint_names)
-    bare = Recording(
-        "trial", np.zeros(1), np.zeros((1, len(robot.actuator_names))), np.zeros((1, nj)), robot.actuator_names,
-        robot.joint_names, notes=rivals.notes,
-    )  # fmt: skip
-    channels = _channels(rivals, bare)
-    trials, starts, known = [], [], dict[bytes, Array]()
-    for k, own in enumerate(commands):
-        times, rows = own.sampled(rivals.rate, bare.linear)
-        pose, first = own.start, rows[0].tobytes()
-        if pose is None:
-            if first not in known:
-                known[first] = resting(rivals, truth, rows[0], simulator)
-            pose = known[first]
-        trials.append(
-            Trial(f"trial {k + 1}", times, rows, rows[0], float(times[0]), pose, times, linear=bare.linear,
-                  inner=bool(channels), forces=bool(channels.forces))
-        )  # fmt: skip
-        starts.append(np.concatenate([pose, np.zeros(nj)])[None])
-    found = simulator.engine.simulate([truth], trials, starts, simulator.threads)
-    for trial, own in zip(trials, found, strict=True):
-        if not own.sound[0]:
-            raise SimulationDiverged(f"{trial.name}: the simulation of {truth.name} diverges")
-    return [_recorded(bare, trial, own, truth, channels) for trial, own in zip(trials, found, strict=True)]
-
-
-def _channels(rivals: Rivals, bare: Recording) -> Channels:
-    """What is compared beside joint positions, by the notes of the recordings so far."""
-    words = rivals.notes.get("also", "").split()
-    if not words:
-        return Channels()
-    sites = [word.removeprefix("site.").rpartition(".") for word in words if word.startswith("site.")]
-    return Channels(
-        tuple(j for j, joint in enumerate(bare.joints) if f"vel.{joint}" in words),
-        tuple((name, AXES.index(axis)) for name, _, axis in sites),
-        tuple(i for i, name in enumerate(bare.actuators) if f"meas.{name}" in words),
-    )
-
-
-def _recorded(bare: Recording, trial: Trial, found: Predicted, truth: Model, channels: Channels) -> Recording:
-    """A prediction in the form of a recording."""
-    nj = len(bare.joints)
-    recording = replace(
-        bare, name=trial.name, time=trial.times, command=trial.commands, position=found.position[0], before=trial.before
-    )
-    if not channels:
-        return recording
-    assert found.motion is not None  # the trial asks for it
-    beside = channels.added(truth.robot, found, trial.moved).position[0, :, nj:]
-    first = len(channels.velocities)
-    sites = {f"{n}.{AXES[axis]}": beside[:, first + k] for k, (n, axis) in enumerate(channels.sites)}
-    return replace(
-        recording,
-        velocity=found.motion[0, :, nj : 2 * nj] if channels.velocities else None,
-        measured=found.forces[0] if channels.forces and found.forces is not None else None,
-        sites=sites,
-    )
-
-
-def resting(rivals: Rivals, truth: Model, command: Array, simulator: Simulator) -> Array:
-    """(nj,) where a robot rests under a constant command (na,) [rad or m].
-
-    Robots that start at rest have been under it for long; others are let go where recordings began, and left until they
-    move no more than noise.
-
-    Raises:
-        ConfigError: where it does not come to rest.
-    """
-    if truth.robot.traits.starts_at_rest:
-        return rest_pose(truth, command)
-    nj = len(truth.robot.joint_names)
-    ends = np.linspace(SETTLING - STILL, SETTLING, 11)
-    trial = Trial("rest", np.zeros(1), command[None], command, 0.0, rivals.start, ends, inner=True)
-    begin = np.concatenate([rivals.start, np.zeros(nj)])[None]
-    (found,) = simulator.engine.simulate([truth], [trial], [begin], simulator.threads)
-    moved = np.ptp(found.position[0], axis=0)
-    sigma = np.array([own.sigma for own in rivals.noise[:nj]])
-    if not (found.sound[0] and np.all(moved < sigma)):
-        raise ConfigError(
-            f"{truth.name} does not come to rest within {SETTLING:g} s of a constant command, so it cannot be driven in "
-            "open loop; expected commands that hold it, or a pose to start from"
-        )
-    assert found.motion is not None  # the trial asks for it
-    return np.asarray(found.motion[0, -1, :nj])
