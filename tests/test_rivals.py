@@ -7,9 +7,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from diagnosed_arm import diagnosed_arm, six_joints
+from diagnosed_arm import six_joints
 from diagnosed_leg import consistent, part_of
-from rival_legs import read_back, rivals_of, with_other
+from rival_legs import of_a_pendulum, read_back, rivals_of, with_other
 
 from equimus_ctrl.diagnosis.explanations import just_below
 from equimus_ctrl.diagnosis.results import Diagnosis, Named
@@ -104,15 +104,16 @@ def test_a_leg_is_read_back_the_same(diagnosis: Diagnosis) -> None:
     assert again.to_dict() == rivals.to_dict() == with_other(diagnosis).to_dict()["rivals"]
 
 
-def test_an_arm_is_read_back_the_same() -> None:
-    rivals = rivals_of(diagnosed_arm())
+@pytest.mark.parametrize("also", [(), ("vel.hinge",)])
+def test_an_arm_is_read_back_the_same(also: tuple[str, ...]) -> None:
+    rivals = of_a_pendulum(also)
     again = read_back(rivals)
-    assert rivals.interval == pytest.approx(0.5, abs=0.05) and rivals.trust is not None
-    assert rivals.rivals[0].effects[0].each
-    size = np.tile(np.arange(6.0) / 6, (2, 1)) * [[1.0], [-1.0]]
-    commands = Commands(np.array([0.0, 0.2]), size, 0.5, start=np.zeros(6))
+    assert rivals.interval == 1.0 and rivals.trust is not None
+    assert len(rivals.noise) == 1 + len(also) and rivals.notes == ({"also": "vel.hinge"} if also else {})
+    commands = Commands(np.array([0.0, 0.5, 1.2]), np.array([[0.3], [-0.8], [0.9]]), 2.0)
     one, other = (separations(own, [commands])[0] for own in (rivals, again))
-    assert np.array_equal(one.gram, other.gram) and one.gap(0, 1) > 0
+    assert np.array_equal(one.gram, other.gram) and one.gap(0, 1) > 10
+    assert one.n == 200 * (1 + len(also))
     assert json.dumps(again.to_dict()) == json.dumps(rivals.to_dict())
 
 
