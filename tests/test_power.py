@@ -68,7 +68,7 @@ def test_the_refit_is_a_minimum(diagnosis: Diagnosis) -> None:
 def test_drawn_noise_is_the_noise_that_it_is_said_to_be() -> None:
     noise = (JointNoise(1e-3), JointNoise(5e-4, 2e-3, 0.05))
     time = np.arange(6000) / 100
-    found = estimate_noise([time], [drawn_noise(noise, time, np.random.default_rng(0))])
+    found = estimate_noise([time], [drawn_noise(noise, time, np.random.default_rng(0).standard_normal((2, 6000, 2)))])
     for own, said in zip(found, noise, strict=True):
         assert own.white == pytest.approx(said.white, rel=0.1)
         assert own.coloured == pytest.approx(said.coloured, rel=0.15)
@@ -77,13 +77,15 @@ def test_drawn_noise_is_the_noise_that_it_is_said_to_be() -> None:
 
 def test_where_noise_is_estimated_along_a_large_gap_is_smaller() -> None:
     rivals = of_a_pendulum()
+    same = tuple(replace(rival, noise=rivals.noise) for rival in rivals.rivals)
+    rivals = replace(rivals, rivals=same)
     time = np.arange(200) / rivals.rate
     wave = np.sin(7 * time)[:, None]
     sigma = rivals.noise[0].sigma
     rng = np.random.default_rng
 
     def seen(size: float) -> float:
-        return as_estimated(rivals, [time], [size * sigma * wave], rng(1))
+        return as_estimated(rivals, 0, 1, [time], [size * sigma * wave], rng(1))
 
     assert seen(0.0) == 0.0
     # Of a small one, χ² of what is left, give or take what noise does.

@@ -22,7 +22,6 @@ from scipy.optimize import lsq_linear
 from equimus_ctrl.diagnosis.estimates import Named
 from equimus_ctrl.diagnosis.fitting import Fitted
 from equimus_ctrl.diagnosis.hypothesis import Candidate, Part, model_of
-from equimus_ctrl.diagnosis.policy import SearchPolicy, Thresholds
 from equimus_ctrl.diagnosis.residuals import Unexplained
 from equimus_ctrl.effects import base as effects_base
 from equimus_ctrl.engines.base import EngineName
@@ -56,6 +55,7 @@ class Rival(Short):
         theta: (p,) estimates [unit of each].
         information: (p, p) of the recordings so far, of parameters in units of their scale.
         deviance: −2 log likelihood of the recordings so far, without constant terms.
+        noise: that its residuals have there, of every joint and other channel.
         accepted: whether the diagnosis takes it for possible; else it is the nearest that there is to what has no name.
     """
 
@@ -64,6 +64,7 @@ class Rival(Short):
     theta: Array
     information: Array
     deviance: float
+    noise: Noise
     accepted: bool = True
 
     def told(self) -> str:
@@ -145,6 +146,7 @@ class Rival(Short):
             "effects": [named.to_dict() for named in self.effects],
             "accepted": self.accepted,
             "deviance": self.deviance,
+            "noise": [asdict(own) for own in self.noise],
             "model": {
                 "parameters": {name: value for name, value in own.items() if value != known[name]},
                 "effects": [{"effect": e.name, "location": e.location, **e.parameters()} for e in model.effects],
@@ -175,6 +177,7 @@ class Rival(Short):
             np.array(data["theta"], dtype=np.float64),
             lower + np.tril(lower, -1).T,
             float(data["deviance"]),
+            tuple(JointNoise(**own) for own in data["noise"]),
             bool(data["accepted"]),
         )
 
@@ -284,18 +287,6 @@ class Rivals(Short):
     def ahead(self, first: int, second: int) -> float:
         """By how much the recordings so far favour a rival over another, −2Δln L less the cost of parameters (BIC)."""
         return self.rivals[second].score(self.n) - self.rivals[first].score(self.n)
-
-    def margin(self, more: int = 0, thresholds: Thresholds | None = None) -> float:
-        """By how much one has to be ahead to be told from another, see ``Scoring.equally_good``.
-
-        Args:
-            more: numbers measured beside those so far.
-            thresholds: as of diagnoses by default.
-        """
-        t = thresholds or Thresholds()
-        policy = SearchPolicy.of(self.model.robot.traits, self.simulator(1).engine)
-        scatter = t.minima_scatter if policy.many_minima else 0.0
-        return max(t.indistinguishable + scatter, t.simulation_error * (self.n + more))
 
     def changed(self, change: Callable[[Model], Model]) -> Rivals:
         """The same where the robot is another one by a known change of its model, such as a payload."""
@@ -419,6 +410,7 @@ def rival_of(fitted: Fitted, noise: Noise, accepted: bool = True) -> Rival:
         fitted.fit.theta,
         information(fitted.fit, noise),
         fitted.deviance,
+        fitted.noise,
         accepted,
     )
 

@@ -2,7 +2,7 @@
 
 If rival i is true with parameters θᵢ, −2Δln L of a trial against rival j refitted is close to G + 2√G ξ, G what it is
 without noise and ξ standard normal. The pair is settled where that, and what the recordings so far say, D, is more than
-what a diagnosis asks for, δ (``Rivals.margin``); the chance of it is the mean over what is known of θᵢ of
+what a diagnosis asks for, δ (``margin``); the chance of it is the mean over what is known of θᵢ of
 
     Φ((G + D − δ)/(2√G))
 """
@@ -17,7 +17,9 @@ from typing import Any
 import numpy as np
 from scipy.special import ndtr, ndtri
 
+from equimus_ctrl.diagnosis.policy import SearchPolicy, Thresholds
 from equimus_ctrl.diagnosis.rivals import Rivals
+from equimus_ctrl.diagnosis.scoring import equally_good
 from equimus_ctrl.errors import SimulationDiverged
 from equimus_ctrl.experiments.predicted import Commands, predicted_trials
 from equimus_ctrl.experiments.refitting import Target, as_estimated, refitted
@@ -153,7 +155,7 @@ def _gaps(
             other = rivals.rivals[j]
             led = other.theta + other.parameters.scale * (other.spread @ apart.undone(first, j))
             refit = refitted(other, target, [led])
-            seen = as_estimated(rivals, times, refit.left, np.random.default_rng(0))
+            seen = as_estimated(rivals, first, j, times, refit.left, np.random.default_rng(0))
             found[j].append(max(min(seen, refit.cost) - lost, LEAST))
     if others and not found[others[0]]:
         raise SimulationDiverged(f"{rival.label}: the simulation diverges with every draw of its parameters")
@@ -163,13 +165,25 @@ def _gaps(
 def _power(rivals: Rivals, apart: Separation, second: int, gaps: Array) -> Power:
     """Of what one trial says, and several: their gap grows as it does to first order."""
     first = apart.along
-    ahead, needed = rivals.ahead(first, second), rivals.margin(apart.n)
+    ahead, needed = rivals.ahead(first, second), margin(rivals, apart.n)
 
     def chance(repeats: int) -> float:
         once = max(apart.gap(first, second), LEAST)
         whole = gaps * apart.gap(first, second, repeats) / once
-        need = rivals.margin(repeats * apart.n)
+        need = margin(rivals, repeats * apart.n)
         return float(ndtr((whole + ahead - need) / (2.0 * np.sqrt(np.maximum(whole, LEAST)))).mean())
 
     enough = next((r for r in range(1, MOST_REPEATS + 1) if chance(r) >= LIKELY), math.inf)
     return Power(first, second, gaps, ahead, needed, chance(1), float(enough))
+
+
+def margin(rivals: Rivals, more: int = 0, thresholds: Thresholds | None = None) -> float:
+    """By how much one rival has to be ahead to be told from another, see ``diagnosis.scoring.equally_good``.
+
+    Args:
+        rivals: of a robot, in fits of which minima may be many.
+        more: numbers measured beside those so far.
+        thresholds: as of diagnoses by default.
+    """
+    policy = SearchPolicy.of(rivals.model.robot.traits, rivals.simulator(1).engine)
+    return equally_good(thresholds or Thresholds(), rivals.n + more, policy.many_minima)

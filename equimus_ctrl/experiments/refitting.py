@@ -130,31 +130,46 @@ def refitted(rival: Rival, target: Target, begins: Sequence[Array] = ()) -> Refi
     return Refit(2.0 * float(found.cost), theta, bool(found.status > 0), target.left(rival.model_at(theta)))
 
 
-def as_estimated(rivals: Rivals, times: Sequence[Array], left: Sequence[Array], rng: np.random.Generator) -> float:
+def as_estimated(
+    rivals: Rivals, first: int, second: int, times: Sequence[Array], left: Sequence[Array], rng: np.random.Generator
+) -> float:
     """−2Δln L of a refit where the noise is estimated along with it, as diagnoses do.
 
     What a rival leaves unexplained is then taken for noise, more and correlated, as far as that is more likely. So
-    ln L falls by far less than under the noise that there is, where much is left. Noise is drawn for what has been
-    measured so far and for the trial; with it and what is left, the noise is estimated anew.
+    ln L falls by far less than under the noise that there is, where much is left. Residuals of what has been measured
+    so far are drawn for either rival by the noise that they have, and noise for the trial; with it, and with what is
+    left, the noise is estimated anew.
 
     Args:
-        rivals: whose noise it is, and how much was measured.
+        rivals: of which one is true.
+        first: that one.
+        second: the one that was refitted.
         times: for each segment of the trial (m,) [s].
-        left: for each (m, nc), see ``Refit.left``.
-        rng: by which the noise is drawn.
+        left: for each (m, nc) by the second, see ``Refit.left``.
+        rng: by which noise is drawn.
     """
-    noise = rivals.noise
-    earlier = np.arange(max(round(rivals.n / len(noise)), 2)) / rivals.rate
-    whole = [earlier, *times]
-    drawn = [drawn_noise(noise, time, rng) for time in whole]
-    with_left = [drawn[0], *(own + more for own, more in zip(drawn[1:], left, strict=True))]
-    found = iter([-2.0 * log_likelihood(estimate_noise(whole, own), whole, own) for own in (with_left, drawn)])
-    return float(next(found) - next(found))
+    earlier = np.arange(max(round(rivals.n / len(rivals.noise)), 2)) / rivals.rate
+    normal = rng.standard_normal((2, len(earlier), len(rivals.noise)))
+    new = [drawn_noise(rivals.noise, time, rng.standard_normal((2, len(time), len(rivals.noise)))) for time in times]
+
+    def more(rival: Rival, trial: Sequence[Array]) -> float:
+        """By how much −2 ln L grows with the trial."""
+        before = drawn_noise(rival.noise, earlier, normal)
+        whole = _deviance([earlier, *times], [before, *trial])
+        return whole - _deviance([earlier], [before])
+
+    with_left = [own + beside for own, beside in zip(new, left, strict=True)]
+    return more(rivals.rivals[second], with_left) - more(rivals.rivals[first], new)
 
 
-def drawn_noise(noise: Noise, time: Array, rng: np.random.Generator) -> Array:
-    """(m, nc) noise at times (m,) [s], see ``identification.noise``."""
-    white, steps = rng.standard_normal((2, len(time), len(noise)))
+def _deviance(times: Sequence[Array], residuals: Sequence[Array]) -> float:
+    """−2 log likelihood under the noise that is most likely."""
+    return -2.0 * log_likelihood(estimate_noise(times, residuals), times, residuals)
+
+
+def drawn_noise(noise: Noise, time: Array, normal: Array) -> Array:
+    """(m, nc) noise at times (m,) [s], see ``identification.noise``, from standard normal numbers (2, m, nc)."""
+    white, steps = normal
     found: Array = np.empty((len(time), len(noise)))
     for c, own in enumerate(noise):
         kept = np.exp(-np.diff(time) / own.time)

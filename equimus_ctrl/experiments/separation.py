@@ -33,7 +33,6 @@ from equimus_ctrl.identification.noise import Noise, whiten
 from equimus_ctrl.identification.residuals import difference
 from equimus_ctrl.identification.segments import Segment
 from equimus_ctrl.identification.simulators import Simulator
-from equimus_ctrl.models.model import Model
 from equimus_ctrl.types import Array
 
 UNSEEN = 0.1
