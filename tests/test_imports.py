@@ -27,6 +27,7 @@ ORDER: tuple[tuple[str, ...], ...] = (
     ("loop", "emulation"),
     ("testing",),
     ("tuning", "identification", "diagnosis", "validation", "proof"),
+    ("experiments",),
     ("preflight",),
     ("experiments",),
     ("report",),

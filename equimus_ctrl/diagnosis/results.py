@@ -15,6 +15,7 @@ from equimus_ctrl.diagnosis.estimates import Named as Named
 from equimus_ctrl.diagnosis.fitting import Fitted
 from equimus_ctrl.diagnosis.hypothesis import Part
 from equimus_ctrl.diagnosis.residuals import ResidualLocation, Residuals, Unexplained
+from equimus_ctrl.diagnosis.rivals import Rivals
 from equimus_ctrl.diagnosis.split_comparison import SplitComparison
 from equimus_ctrl.engines.base import Engine
 from equimus_ctrl.errors import ConfigError, unknown_name
@@ -291,6 +292,9 @@ class Diagnosis(Short):
         differences: between them, the strongest evidence first.
         another_unit: what of the model's parameters is not nominal; None where the nominal values fit as well.
         splits: what other splits of the trials say; None where nobody asked.
+        explanations: that these recordings leave beside ``best``, see ``explanations.left_by``.
+        nearest: what comes nearest to what has no name, see ``explanations.nearest_to``.
+        below: effects that would just not have been seen, see ``explanations.just_below``; where nothing was found.
     """
 
     verdict: Verdict
@@ -321,6 +325,9 @@ class Diagnosis(Short):
     differences: tuple[Difference, ...] = ()
     another_unit: AnotherUnit | None = None
     splits: SplitComparison | None = None
+    explanations: tuple[Fitted, ...] = ()
+    nearest: tuple[Fitted, ...] = ()
+    below: tuple[Part, ...] = ()
 
     def told(self) -> str:
         """The verdict, what was found, and how much less the errors are."""
@@ -420,6 +427,11 @@ class Diagnosis(Short):
             return None
         return float(np.median([s.trial.sample_times[-1] - s.trial.start for s in self.train]))
 
+    @property
+    def rivals(self) -> Rivals:
+        """The explanations that these recordings leave, for experiments to decide between."""
+        return Rivals.of(self)
+
     def to_dict(self) -> dict[str, Any]:
         """As JSON data: schema ``equimus-ctrl/diagnosis/2``."""
         return {
@@ -446,6 +458,7 @@ class Diagnosis(Short):
             "detectable": [smallest.to_dict() for smallest in self.detectable],
             "ranking": [ranked.to_dict() for ranked in self.ranking],
             "another_unit": self.another_unit.to_dict() if self.another_unit else None,
+            "rivals": self.rivals.to_dict(),
             **self._groups(),
             "trials": {part: [s.trial.name for s in getattr(self, part)] for part in SETS},
             "shooting_interval_s": self.interval,
