@@ -29,7 +29,6 @@ ORDER: tuple[tuple[str, ...], ...] = (
     ("tuning", "identification", "diagnosis", "validation", "proof"),
     ("experiments",),
     ("preflight",),
-    ("experiments",),
     ("report",),
     ("options",),
     ("workflow",),
