@@ -17,9 +17,10 @@ from typing import Any
 import numpy as np
 from scipy.special import ndtr, ndtri
 
-from equimus_ctrl.diagnosis.policy import SearchPolicy, Thresholds
+from equimus_ctrl.diagnosis.policy import SearchPolicy
 from equimus_ctrl.diagnosis.rivals import Rivals
 from equimus_ctrl.diagnosis.scoring import equally_good
+from equimus_ctrl.diagnosis.thresholds import Thresholds
 from equimus_ctrl.errors import SimulationDiverged
 from equimus_ctrl.experiments.predicted import Commands, predicted_trials
 from equimus_ctrl.experiments.refitting import Target, as_estimated, refitted
