@@ -151,6 +151,21 @@ def check_free(path: Path) -> None:
         raise ConfigError(f"{path}: is there already; expected another name, or --force to replace it")
 
 
+def named_at_last(path: Path, name: Path) -> Path:
+    """Give a file that has become whole the name by which others look for it.
+
+    Raises:
+        ConfigError: where something has that name, or it cannot be moved.
+    """
+    check_new(name)
+    presets.make_folder(name.parent)
+    try:
+        os.replace(path, name)
+    except OSError as error:
+        raise ConfigError(f"{name}: cannot be written ({error.strerror or error})") from None
+    return name
+
+
 def write_record(folder: Path, name: str, record: Mapping[str, Any], files: Iterable[Path]) -> Path:
     """Write a folder's record, with the names of the files in it that belong to the same run; its file."""
     inside = [file.name for file in files if file.parent == folder]

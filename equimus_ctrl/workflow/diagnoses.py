@@ -33,6 +33,7 @@ def diagnose(
     model: Model | None = None,
     options: DiagnoseOptions | None = None,
     *,
+    heldout: Holdout | None = None,
     progress: Progress = lambda stage, share, best: None,
     asked: Asked = never,
     **changes: Any,
@@ -43,6 +44,7 @@ def diagnose(
         recordings: files, folders or trials.
         model: the nominal leg by default.
         options: see ``DiagnoseOptions``.
+        heldout: what is held out, in the place of what the options say.
         progress: called with the stage, the share done and the best hypothesis so far.
         asked: whether its best so far is to be given now.
         **changes: of the options, one by one.
@@ -62,7 +64,7 @@ def diagnose(
     with budget.with_nothing_yet():
         given = read_given(recordings, model, options, budget)
         if not options.splits:
-            return diagnosed(None, progress)
+            return diagnosed(heldout, progress)
         names = [trial.name for trial in given.trials]
         others = random_holdouts(names, options.splits, options.seed, test=options.test, groups=given.groups)
         return over_splits(diagnosed, others, options.splits, progress)
