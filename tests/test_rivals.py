@@ -9,9 +9,13 @@ import numpy as np
 import pytest
 from diagnosed_arm import six_joints
 from diagnosed_leg import consistent, part_of
+from poor_legs import hidden
 from rival_legs import of_a_pendulum, read_back, rivals_of, with_other
 
+from equimus_ctrl.diagnosis.diagnose import DiagnosisSettings, diagnose
 from equimus_ctrl.diagnosis.explanations import just_below
+from equimus_ctrl.diagnosis.holdout import split
+from equimus_ctrl.diagnosis.hypothesis import default_free_parameters
 from equimus_ctrl.diagnosis.results import Diagnosis, Named
 from equimus_ctrl.diagnosis.rivals import Rivals
 from equimus_ctrl.diagnosis.screening import Screened
@@ -21,6 +25,7 @@ from equimus_ctrl.experiments.separation import separations
 from equimus_ctrl.identification.information import information, start_precision
 from equimus_ctrl.identification.noise import whiten
 from equimus_ctrl.models.model import Model, nominal_model
+from equimus_ctrl.proof.leg_simulation import recordings, simulate
 
 
 def test_the_answer_comes_first_and_what_fits_as_well_behind_it(diagnosis: Diagnosis) -> None:
@@ -148,3 +153,27 @@ def test_the_least_visible_effects_stand_at_the_size_that_would_have_been_seen()
         (("baa",), pytest.approx(50.0)),
     ]
     assert just_below(nominal_model(), [screened(other, [1.0, 4.0, 16.0])], lambda count: 100.0) == ()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("case", "verdict"), [(4, "explained"), (10, "consistent"), (11, "unexplained")])
+def test_a_diagnosis_keeps_what_it_leaves_open(case: int, verdict: str) -> None:
+    """Of two poor trials of a leg: an effect with an equivalent, one that is not seen, one that nothing explains."""
+    model, truth = nominal_model(), hidden(77, case)
+    trials = recordings(truth, simulate(truth))
+    found = diagnose(default_free_parameters(model), split(model, trials), settings=DiagnosisSettings(threads=1))
+    assert found.verdict == verdict
+    first, *others = found.rivals.rivals
+    if verdict == "explained":
+        assert [str(own.named) for own in found.findings] == [first.label]
+        assert {own.label for own in others} == {str(own) for own in found.findings[0].equivalent} != set()
+    elif verdict == "consistent":
+        assert first.label == "no missing physics" and {len(own.effects) for own in others} == {1}
+        sizes = {str(own.named): own.size for own in found.detectable}
+        for rival in others:
+            effect = rival.model.effects[0]
+            size, nothing = next(iter(effect.parameters().values())), effect.grows_from()
+            assert nothing is not None and abs(size - nothing) == pytest.approx(sizes[rival.label])
+    else:
+        assert [own.accepted for own in (first, *others)] == [True] + [False] * len(others) and others
+        assert found.rivals.unexplained[0].location == found.unexplained[0].location

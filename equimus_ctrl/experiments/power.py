@@ -142,7 +142,7 @@ def _gaps(
     rival = rivals.rivals[first]
     own = apart.gram[apart.places[first], apart.places[first]]
     found: dict[int, list[float]] = {j: [] for j in others}
-    for theta in thetas:
+    for k, theta in enumerate(thetas):
         truth = rival.model_at(theta)
         try:
             ((segments),) = predicted_trials(rivals, truth, [commands], simulator)
@@ -156,7 +156,7 @@ def _gaps(
             other = rivals.rivals[j]
             led = other.theta + other.parameters.scale * (other.spread @ apart.undone(first, j))
             refit = refitted(other, target, [led])
-            seen = as_estimated(rivals, first, j, times, refit.left, np.random.default_rng(0))
+            seen = as_estimated(rivals, first, j, times, refit.left, np.random.default_rng(k))
             found[j].append(max(min(seen, refit.cost) - lost, LEAST))
     if others and not found[others[0]]:
         raise SimulationDiverged(f"{rival.label}: the simulation diverges with every draw of its parameters")

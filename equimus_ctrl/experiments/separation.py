@@ -95,7 +95,7 @@ class Separation:
     Attributes:
         along: the rival that is simulated as the truth.
         gram: (R + Σq, R + Σq) of [y − y of ``along``, U]: all predictions, then each rival's derivatives, whitened.
-        places: for each rival those of its derivatives.
+        places: for each rival those of its derivatives, the same for rivals that are as free as each other.
         sound: (R,) which rivals' simulations went through; what did not is at no distance from anything.
         n: how many numbers the trial measures.
     """
@@ -211,11 +211,18 @@ class _Neighbours:
         """Simulate them, one batch."""
         by = difference(rivals.model, simulator)
         models, turns, first = [rival.model for rival in rivals.rivals], list[Array](), list[int]()
+        known, places = dict[int, slice](), list[slice]()
         for k, rival in enumerate(rivals.rivals):
-            points, turn = _neighbours(rival, None if bases is None else bases[k], by)
-            first.append(len(models))
-            models += [rival.model_at(theta) for theta in points]
-            turns.append(turn)
+            # What would just not have been seen changes no derivatives that the recordings would show.
+            twin = next(j for j, other in enumerate(rivals.rivals) if rival.as_free_as(other))
+            if twin == k:
+                points, turn = _neighbours(rival, None if bases is None else bases[k], by)
+                first.append(len(models))
+                models += [rival.model_at(theta) for theta in points]
+                turns.append(turn)
+                begin = sum(own.shape[1] for own in turns[:-1])
+                known[k] = slice(begin, begin + turn.shape[1])
+            places.append(known[twin])
         most = max(len(segment.free_at) for segment in segments)
         own = len(models)
         models += [rivals.rivals[along].model] * most
@@ -224,9 +231,7 @@ class _Neighbours:
             rows, free = np.tile(segment.start, (len(models), 1)), segment.free_at
             rows[own + np.arange(len(free)), free] += by
             starts.append(rows)
-        ends = np.cumsum([turn.shape[1] for turn in turns])
-        places = tuple(slice(int(e) - t.shape[1], int(e)) for e, t in zip(ends, turns, strict=True))
-        whole = cls([], [], [], places, [])
+        whole = cls([], [], [], tuple(places), [])
         for segment, found in zip(segments, simulator(models, segments, starts), strict=True):
             whole._add(segment, found, first, turns, own, along, by)
         return whole
@@ -251,15 +256,15 @@ class _Neighbours:
             change = np.where(sound[:, None, None], position[steps] - position[at], 0.0)
             slopes.append(np.moveaxis(change, 0, -1) @ turn)
         moved = np.where(found.sound[own:, None, None], position[own:] - position[truth], 0.0) / by
-        self.predicted.append(np.moveaxis(position[: len(first)], 0, -1))
+        self.predicted.append(np.moveaxis(position[: len(self.places)], 0, -1))
         self.slopes.append(np.concatenate(slopes, axis=2))
         self.by_start.append(np.moveaxis(moved, 0, -1)[..., : len(segment.free_at)])
-        self.sound.append(found.sound[: len(first)])
+        self.sound.append(found.sound[: len(self.places)])
 
     def separation(self, along: int, starts: Starts, places: Sequence[int]) -> Separation:
         """Of the trial that some of the segments make up."""
         count = len(self.places)
-        size = count + self.places[-1].stop
+        size = count + max(own.stop for own in self.places)
         gram, n = np.zeros((size, size)), 0
         for k in places:
             apart = self.predicted[k] - self.predicted[k][..., along : along + 1]
