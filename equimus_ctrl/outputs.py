@@ -18,7 +18,7 @@ from typing import Any
 from equimus_ctrl import presets
 from equimus_ctrl.errors import ConfigError
 
-RECORDS = ("record.json", "score.json", "validation.json")
+RECORDS = ("record.json", "score.json", "validation.json", "design.json")
 """What the record of a folder of results is called, verb by verb."""
 
 

@@ -21,7 +21,6 @@ from equimus_ctrl.diagnosis.results import (
     Detectable,
     Diagnosis,
     Evidence,
-    Experiment,
     Finding,
     Ranked,
 )
@@ -37,7 +36,7 @@ ROWS = [row.split(" | ", 1) for row in TABLE.splitlines() if row.startswith("| "
 
 WRITERS: tuple[Callable[..., Any], ...] = (
     Diagnosis.to_dict, Diagnosis._groups, Diagnosis._parameters, Finding.to_dict, Ranked.to_dict, Detectable.to_dict,
-    Experiment.to_dict, ResidualForce.to_dict, ResidualAboveNoise.to_dict, Difference.to_dict, Departure.to_dict,
+    ResidualForce.to_dict, ResidualAboveNoise.to_dict, Difference.to_dict, Departure.to_dict,
     AnotherUnit.to_dict, Estimate.to_dict, Named.to_dict, Engine.to_dict, Rivals.to_dict, Rival.to_dict,
 )  # fmt: skip
 WHOLE = (Evidence, Decision, ResidualLocation, Missing, JointNoise, FreeParameter, Channels)

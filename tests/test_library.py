@@ -31,7 +31,7 @@ ROOT = Path(__file__).resolve().parents[1]
 PENDULUM = eq.load_model(ROOT / "docs" / "examples" / "pendulum.xml")
 PACKAGE = ROOT / "equimus_ctrl"
 VERBS = (
-    "check", "compare", "diagnose", "export_model", "identify", "linearise", "list_names", "prove", "run_scenario",
+    "check", "compare", "design_experiment", "diagnose", "export_model", "identify", "linearise", "list_names", "prove", "run_scenario",
     "score", "sensitivity", "tune", "validate",
 )  # fmt: skip
 """Of ``equimus-ctrl``, as functions that give a result."""

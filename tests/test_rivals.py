@@ -127,15 +127,6 @@ def test_a_record_is_not_read_with_another_robot(diagnosis: Diagnosis) -> None:
         read_back(rivals_of(diagnosis), Model(six_joints()))
 
 
-def test_a_known_change_is_made_in_every_rival(diagnosis: Diagnosis) -> None:
-    payload = part_of("payload_mass", ("calf",), {"mass": 0.2}).effects
-    changed = rivals_of(diagnosis).changed(lambda model: replace(model, effects=(*model.effects, *payload)))
-    assert [[e.name for e in rival.model.effects] for rival in changed.rivals] == [
-        ["dead_zone", "payload_mass"],
-        ["payload_mass"],
-    ]
-
-
 def test_the_least_visible_effects_stand_at_the_size_that_would_have_been_seen() -> None:
     candidate = part_of("dead_zone", ("baa",), {"threshold": 100.0}).candidate
     other = part_of("dead_zone", ("maa",), {"threshold": 100.0}).candidate

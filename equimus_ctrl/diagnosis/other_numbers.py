@@ -360,7 +360,6 @@ _ROWS: Mapping[str, tuple[Row, ...]] = {
         ("REGIONS", 3, "told", "convention", "of a coordinate"),
         ("SLOPE", 4, "told", "convention", "samples by which speeds are read off"),
     ),
-    "diagnosis.experiment": (("STEP", 1e-5, "arithmetic", "theory", "step of differences"),),
 }
 
 

@@ -6,7 +6,6 @@ import time
 from collections.abc import Iterable
 from dataclasses import replace
 
-from equimus_ctrl.diagnosis.experiment import separating
 from equimus_ctrl.diagnosis.explanations import just_below, left_by, nearest_to
 from equimus_ctrl.diagnosis.findings import beyond_range, detectable, findings, named_part, notes, ranking, verdict
 from equimus_ctrl.diagnosis.holdout_residuals import HoldoutResiduals
@@ -67,7 +66,6 @@ def report(state: State) -> Diagnosis:
         rejected=_rejected(state),
         ranking=state.ranking or ranking(search, end),
         detectable=() if other_answer else detectable(search, end),
-        experiment=None if state.ended_in else separating(data, end, named, equivalent, inputs.designs),
         excess_variance={name: float(excess_variances(residuals[name].train, sigma).mean()) for name in STATES},
         notes=(
             *notes(end, split, inputs.settings.exclude, [stage.decides for stage in skipped(state)]),

@@ -191,32 +191,6 @@ class Detectable:
 
 
 @dataclass(frozen=True)
-class Experiment:
-    """What to record in order to distinguish two effects.
-
-    Attributes:
-        scenario: name of a scenario of ``equimus-ctrl run``, with settings.
-        settings: of the scenario.
-        separates: the two that it distinguishes.
-        distance: root mean square distance between their predictions, refitted to one another, over the noise.
-    """
-
-    scenario: str
-    settings: Mapping[str, float]
-    separates: tuple[Named, Named]
-    distance: float
-
-    def to_dict(self) -> dict[str, Any]:
-        """As JSON data."""
-        return {
-            "scenario": self.scenario,
-            "settings": dict(self.settings),
-            "separates": [named.to_dict() for named in self.separates],
-            "distance_over_noise": self.distance,
-        }
-
-
-@dataclass(frozen=True)
 class Decision:
     """What a stage of a diagnosis decided, and why.
 
@@ -281,7 +255,6 @@ class Diagnosis(Short):
             spoke against them; none that is found, undetermined or not distinguishable all the same.
         ranking: all candidates, alone, best first.
         detectable: smallest detectable sizes of effects; only where nothing was found.
-        experiment: that would distinguish effects that these recordings do not.
         excess_variance: for each state of STATES the excess residual variance on the trials fitted: mean squared
             residual over the noise's variance, minus 1.
         notes: warnings, as sentences.
@@ -314,7 +287,6 @@ class Diagnosis(Short):
     rejected: tuple[Rejected, ...]
     ranking: tuple[Ranked, ...]
     detectable: tuple[Detectable, ...]
-    experiment: Experiment | None
     excess_variance: Mapping[str, float]
     notes: tuple[str, ...]
     seconds: float
@@ -454,7 +426,6 @@ class Diagnosis(Short):
             "parameters": self._parameters(),
             "models": self._models(),
             "zeros": [asdict(zero) for zero in self.best.fit.zeros],
-            "separating_experiment": self.experiment.to_dict() if self.experiment else None,
             "detectable": [smallest.to_dict() for smallest in self.detectable],
             "ranking": [ranked.to_dict() for ranked in self.ranking],
             "another_unit": self.another_unit.to_dict() if self.another_unit else None,

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 from itertools import permutations
@@ -142,10 +142,6 @@ class Rival(Short):
         """Bayesian information criterion of the recordings so far, of n numbers, see ``diagnosis.scoring``."""
         return self.deviance + self.n_effect_parameters * float(np.log(n))
 
-    def changed(self, change: Callable[[Model], Model]) -> Rival:
-        """The same where the model is another one by a known change, such as a payload."""
-        return replace(self, parameters=replace(self.parameters, model=change(self.parameters.model)))
-
     def to_dict(self, nominal: Model) -> dict[str, Any]:
         """As JSON data, beside a nominal model."""
         model, known = self.parameters.model, nominal.robot.parameters()
@@ -246,6 +242,7 @@ class Rivals(Short):
         zeros: joints whose sensors' zeros are unknown in each recording.
         linear: whether commands go along a line from each row to the next.
         start: (nj,) where the joints were when recordings began [rad or m].
+        rest: (na,) commands in force before them.
         interval: length of the shooting intervals that are fitted [s]; None where trials are simulated whole.
         trust: (2 nj,) in starts that are read off, see ``Segment.trust``; None where they are simulated whole.
         engine: that simulates.
@@ -263,6 +260,7 @@ class Rivals(Short):
     zeros: tuple[int, ...]
     linear: bool
     start: Array
+    rest: Array
     interval: float | None
     trust: Array | None
     engine: EngineName
@@ -295,10 +293,6 @@ class Rivals(Short):
     def ahead(self, first: int, second: int) -> float:
         """By how much the recordings so far favour a rival over another, −2Δln L less the cost of parameters (BIC)."""
         return self.rivals[second].score(self.n) - self.rivals[first].score(self.n)
-
-    def changed(self, change: Callable[[Model], Model]) -> Rivals:
-        """The same where the robot is another one by a known change of its model, such as a payload."""
-        return replace(self, model=change(self.model), rivals=tuple(own.changed(change) for own in self.rivals))
 
     @classmethod
     def of(cls, diagnosis: Diagnosed) -> Rivals:
@@ -333,6 +327,7 @@ class Rivals(Short):
             whole.zeros,
             whole.trial.linear,
             np.array(whole.start[:nj]),
+            np.array(whole.trial.before),
             diagnosis.interval,
             np.median(trusts, axis=0) if trusts else None,
             problem.simulator.engine.name,
@@ -357,6 +352,7 @@ class Rivals(Short):
             "zeros": list(self.zeros),
             "linear": self.linear,
             "start": self.start.tolist(),
+            "rest": self.rest.tolist(),
             "interval_s": self.interval,
             "trust": None if self.trust is None else self.trust.tolist(),
             "engine": self.engine,
@@ -394,6 +390,7 @@ class Rivals(Short):
             tuple(data["zeros"]),
             data["linear"],
             np.array(data["start"], dtype=np.float64),
+            np.array(data["rest"], dtype=np.float64),
             data["interval_s"],
             None if data["trust"] is None else np.array(data["trust"], dtype=np.float64),
             data["engine"],

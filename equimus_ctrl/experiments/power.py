@@ -106,7 +106,7 @@ def powers(
         rivals: between which it is to decide.
         commands: of the trial.
         rng: by which parameters are drawn.
-        draws: how often for each rival that is taken for the truth.
+        draws: how often for each rival that is taken for the truth; 0 for its estimates alone.
         pairs: (true, other); all by default.
         simulator: that of the rivals by default.
 
@@ -120,7 +120,9 @@ def powers(
     for first in dict.fromkeys(i for i, _ in wanted):
         (apart,) = separations(rivals, [commands], along=first, simulator=simulator)
         others = [j for i, j in wanted if i == first]
-        gaps = _gaps(rivals, commands, apart, others, rivals.rivals[first].draws(rng, draws), simulator)
+        rival = rivals.rivals[first]
+        thetas = rival.draws(rng, draws) if draws else rival.theta[None]
+        gaps = _gaps(rivals, commands, apart, others, thetas, simulator)
         for j in others:
             found[first, j] = _power(rivals, apart, j, gaps[j])
     return [found[pair] for pair in wanted]

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from equimus_ctrl.diagnosis.rivals import Rivals
+from equimus_ctrl.engines.predict import in_its_condition, robot_as_noted
 from equimus_ctrl.engines.rest import rest_pose
 from equimus_ctrl.engines.trials import Predicted, Trial
 from equimus_ctrl.errors import ConfigError, SimulationDiverged
@@ -33,12 +34,14 @@ class Commands(Short):
         commands: (n, na), in the unit of each actuator's command; the first has been in force for long.
         duration: of the trial [s].
         start: (nj,) where the joints are at first, at rest [rad or m]; by default where the first command holds them.
+        notes: that say what is known to be different in the trial, see ``engines.predict.noted``.
     """
 
     times: Array
     commands: Array
     duration: float
     start: Array | None = None
+    notes: Mapping[str, str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         if len(self.times) != len(self.commands) or not np.all(np.diff(self.times) > 0):
@@ -74,9 +77,8 @@ def predicted_trials(
         SimulationDiverged: where the simulation does.
     """
     recordings = predicted_recordings(rivals, truth, commands, simulator)
-    segments = cut(rivals.model, recordings, shoot=rivals.interval, fit_start=True)
-    if rivals.trust is not None:  # without noise, starts would seem to be as sure as parabolas are
-        segments = [replace(segment, trust=rivals.trust) for segment in segments]
+    # Without noise, starts would seem to be as sure as parabolas are: those of the rivals' recordings tell.
+    segments = cut(rivals.model, recordings, shoot=rivals.interval, fit_start=True, trust=rivals.trust)
     return [[s for s in segments if s.recording == k] for k in range(len(recordings))]
 
 
@@ -90,24 +92,31 @@ def predicted_recordings(
         robot.joint_names, notes=rivals.notes,
     )  # fmt: skip
     channels = rivals.channels
-    trials, starts, known = [], [], dict[bytes, Array]()
+    trials, starts, noted, known = [], [], [], dict[tuple[bytes, str], Array]()
     for k, own in enumerate(commands):
         times, rows = own.sampled(rivals.rate, bare.linear)
-        pose, first = own.start, rows[0].tobytes()
+        pose, first = own.start, (rows[0].tobytes(), repr(sorted(own.notes.items())))
         if pose is None:
             if first not in known:
-                known[first] = resting(rivals, truth, rows[0], simulator)
+                known[first] = resting(rivals, as_noted(truth, own.notes), rows[0], simulator)
             pose = known[first]
-        trials.append(
-            Trial(f"trial {k + 1}", times, rows, rows[0], float(times[0]), pose, times, linear=bare.linear,
-                  inner=bool(channels), forces=bool(channels.forces))
+        trial = Trial(
+            f"trial {k + 1}", times, rows, rows[0], float(times[0]), pose, times, linear=bare.linear,
+            inner=bool(channels), forces=bool(channels.forces),
         )  # fmt: skip
+        noted.append(replace(bare, notes={**bare.notes, **own.notes}))
+        trials.append(in_its_condition(truth, noted[-1], trial))
         starts.append(np.concatenate([pose, np.zeros(nj)])[None])
     found = simulator.engine.simulate([truth], trials, starts, simulator.threads)
     for trial, one in zip(trials, found, strict=True):
         if not one.sound[0]:
             raise SimulationDiverged(f"{trial.name}: the simulation of {truth.name} diverges")
-    return [_recorded(bare, trial, one, truth, channels) for trial, one in zip(trials, found, strict=True)]
+    return [_recorded(own, trial, one, truth, channels) for own, trial, one in zip(noted, trials, found, strict=True)]
+
+
+def as_noted(model: Model, notes: Mapping[str, str]) -> Model:
+    """A model as it is in a trial with such notes."""
+    return replace(model, robot=robot_as_noted(model.robot, "the trial", notes)) if notes else model
 
 
 def _recorded(bare: Recording, trial: Trial, found: Predicted, truth: Model, channels: Channels) -> Recording:
@@ -130,11 +139,18 @@ def _recorded(bare: Recording, trial: Trial, found: Predicted, truth: Model, cha
     )
 
 
-def resting(rivals: Rivals, truth: Model, command: Array, simulator: Simulator) -> Array:
+def resting(rivals: Rivals, truth: Model, command: Array, simulator: Simulator, begin: Array | None = None) -> Array:
     """(nj,) where a robot rests under a constant command (na,) [rad or m].
 
     Robots that start at rest have been under it for long; others are let go where recordings began, and left until they
     move no more than noise.
+
+    Args:
+        rivals: whose noise and starts count.
+        truth: the robot.
+        command: in force for long.
+        simulator: that simulates.
+        begin: (nj,) where robots that need not start at rest are let go [rad or m].
 
     Raises:
         ConfigError: where it does not come to rest.
@@ -143,9 +159,11 @@ def resting(rivals: Rivals, truth: Model, command: Array, simulator: Simulator) 
         return rest_pose(truth, command)
     nj = len(truth.robot.joint_names)
     ends = np.linspace(SETTLING - STILL, SETTLING, 11)
-    trial = Trial("rest", np.zeros(1), command[None], command, 0.0, rivals.start, ends, inner=True)
-    begin = np.concatenate([rivals.start, np.zeros(nj)])[None]
-    (found,) = simulator.engine.simulate([truth], [trial], [begin], simulator.threads)
+    at = rivals.start if begin is None else begin
+    trial = Trial("rest", np.zeros(1), command[None], command, 0.0, at, ends, inner=True)
+    (found,) = simulator.engine.simulate(
+        [truth], [trial], [np.concatenate([at, np.zeros(nj)])[None]], simulator.threads
+    )
     moved = np.ptp(found.position[0], axis=0)
     sigma = np.array([own.sigma for own in rivals.noise[:nj]])
     if not (found.sound[0] and np.all(moved < sigma)):

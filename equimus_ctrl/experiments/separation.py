@@ -20,7 +20,7 @@ samples. The free numbers of starts are eliminated before, with the prior that t
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,6 +33,7 @@ from equimus_ctrl.identification.noise import Noise, whiten
 from equimus_ctrl.identification.residuals import difference
 from equimus_ctrl.identification.segments import Segment
 from equimus_ctrl.identification.simulators import Simulator
+from equimus_ctrl.models.model import Model
 from equimus_ctrl.types import Array
 
 UNSEEN = 0.1
@@ -173,8 +174,14 @@ def separations(
         SimulationDiverged: where the rival that is taken for the truth does.
     """
     simulator = simulator or rivals.simulator()
-    truth = rivals.rivals[along].model
-    trials = predicted_trials(rivals, truth, commands, simulator)
+    trials = predicted_trials(rivals, rivals.rivals[along].model, commands, simulator)
+    return apart_in(rivals, trials, along, bases, simulator)
+
+
+def apart_in(
+    rivals: Rivals, trials: Sequence[Sequence[Segment]], along: int, bases: Bases | None, simulator: Simulator
+) -> list[Separation]:
+    """The same of trials that are predicted and cut, see ``predicted.predicted_trials``."""
     segments = [segment for trial in trials for segment in trial]
     own = _Neighbours.of(rivals, along, segments, bases, simulator)
     starts = Starts.of(rivals.noise, segments, own.by_start)
@@ -184,6 +191,29 @@ def separations(
         found.append(own.separation(along, starts, places))
         first += len(trial)
     return found
+
+
+def with_channel(
+    rivals: Rivals, apart: Separation, values: Callable[[Model], Array], simulator: Simulator
+) -> Separation:
+    """The same where one channel more is measured that no start changes.
+
+    Args:
+        rivals: that were compared, along all directions of what is free.
+        apart: in a trial.
+        values: (m,) of a model there, in units of the channel's noise, which is white.
+        simulator: of the others.
+    """
+    by = difference(rivals.model, simulator)
+    count = len(rivals.rivals)
+    predicted = np.array([values(rival.model) for rival in rivals.rivals])
+    rows = np.zeros((predicted.shape[1], len(apart.gram)))
+    rows[:, :count] = (predicted - predicted[apart.along]).T
+    for place, rival in zip(apart.places, rivals.rivals, strict=True):
+        points, turn = _neighbours(rival, None, by)
+        found = np.array([values(rival.model_at(theta)) for theta in points])
+        rows[:, place] = (found[1:] - found[0]).T @ turn
+    return replace(apart, gram=apart.gram + rows.T @ rows, n=apart.n + len(rows))
 
 
 @dataclass(frozen=True, eq=False)
