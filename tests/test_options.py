@@ -24,6 +24,7 @@ from equimus_ctrl.cli import (
     sensitivity,
     validate,
 )
+from equimus_ctrl.cli.experiment_run import run as run_experiments
 from equimus_ctrl.cli.main import app, main
 from equimus_ctrl.cli.model_choice import ModelChoice
 from equimus_ctrl.cli.options import filled
@@ -39,6 +40,7 @@ from equimus_ctrl.options import (
     ExportOptions,
     IdentifyOptions,
     ProveOptions,
+    RunExperimentsOptions,
     ScoreOptions,
     SensitivityOptions,
     Shard,
@@ -57,6 +59,7 @@ VERBS: dict[str, tuple[Any, type[Any], Any, str, list[str]]] = {
     "compare": (compare.compare, CompareOptions, workflow, "compare", ["hold"]),
     "diagnose": (diagnose.diagnose, DiagnoseOptions, workflow, "diagnose", ["trials"]),
     "experiment design": (experiment.design, DesignOptions, workflow, "design_experiment", ["record.json"]),
+    "experiment run": (run_experiments, RunExperimentsOptions, workflow, "run_experiments", []),
     "export": (export.export, ExportOptions, workflow, "export_model", []),
     "identify": (identify.identify, IdentifyOptions, workflow, "identify", ["trials"]),
     "prove": (prove.prove, ProveOptions, proofs, "prove", []),
@@ -109,6 +112,7 @@ EXAMPLES: dict[str, tuple[str, Any]] = {
     "recordings": ("--recordings trials", Path("trials")),
     "scenarios": ("--scenario hold --scenario chirp", ["hold", "chirp"]),
     "scenario_options": ("--set duration=2 --set hip=80", {"duration": "2", "hip": "80"}),
+    "seconds": ("--seconds 30", 30.0),
     "sensor_noise": ("--sensor-noise vel.hip=0.01", {"vel.hip": 0.01}),
     "settings": ("--settings pid=mine.toml", {"pid": Path("mine.toml")}),
     "merge": ("--merge one --merge two", [Path("one"), Path("two")]),

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from equimus_ctrl.cli import experiment_run
 from equimus_ctrl.cli.common import Figures, Force, Json, PluginFiles, people, print_files, print_json, shown_path
 from equimus_ctrl.cli.flags import Command, Group
 from equimus_ctrl.cli.model_choice import ModelChoice
@@ -20,10 +21,11 @@ if TYPE_CHECKING:
 
 app = typer.Typer(
     cls=Group,
-    help="Design trials that distinguish the explanations that a diagnosis leaves.",
+    help="Trials that distinguish the explanations that a diagnosis leaves: designed, and made.",
     no_args_is_help=True,
     rich_markup_mode="rich",
 )
+app.command("run", cls=Command)(experiment_run.run)
 
 
 @app.command(cls=Command)

@@ -12,6 +12,7 @@ from equimus_ctrl.options.check import CheckOptions
 from equimus_ctrl.options.compare import CompareOptions
 from equimus_ctrl.options.diagnose import DiagnoseOptions
 from equimus_ctrl.options.experiment import DesignOptions
+from equimus_ctrl.options.experiment_run import RunExperimentsOptions
 from equimus_ctrl.options.export import ExportOptions
 from equimus_ctrl.options.fields import NAMES, SPAN, bounds_of, key_values
 from equimus_ctrl.options.identify import IdentifyOptions
@@ -41,6 +42,7 @@ __all__ = [
     "IdentifyOptions",
     "OnCommandLine",
     "ProveOptions",
+    "RunExperimentsOptions",
     "ScoreOptions",
     "SensitivityOptions",
     "Shard",

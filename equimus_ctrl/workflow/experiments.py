@@ -22,6 +22,7 @@ from equimus_ctrl.experiments.results import Designed
 from equimus_ctrl.models.model import Model, nominal_model
 from equimus_ctrl.options import DesignOptions, with_changes
 from equimus_ctrl.recordings.commands import CommandFile, write_commands
+from equimus_ctrl.robots.base import Robot
 
 COMMANDS, RECORD = "design.csv", "design.json"
 """Files of a design."""
@@ -52,15 +53,10 @@ def design_experiment(
     """
     options = with_changes(DesignOptions, options, changes)
     rivals = rivals_in(diagnosed, model)
-    given = dict(options.limit or {})
-    if options.duration is not None:
-        given["duration"] = repr(options.duration)
-    data = None if options.limits is None else presets.read_toml(options.limits)
-    limits = Limits.read(rivals.model.robot, data, given, str(options.limits or "limits"))
     budget = Budget.beginning_now(options.budget, asked)
     return designed(
         rivals,
-        limits,
+        limits_for(options, rivals.model.robot),
         conditions=known_conditions(options.can, rivals.model),
         over_families=families(options.family),
         seed=options.seed,
@@ -71,6 +67,19 @@ def design_experiment(
         simulator=rivals.simulator(options.threads),
         progress=progress,
     )
+
+
+def limits_for(options: DesignOptions, robot: Robot) -> Limits:
+    """What a design must not leave.
+
+    Raises:
+        ConfigError: for a file or a limit that cannot be.
+    """
+    given = dict(options.limit or {})
+    if options.duration is not None:
+        given["duration"] = repr(options.duration)
+    data = None if options.limits is None else presets.read_toml(options.limits)
+    return Limits.read(robot, data, given, str(options.limits or "limits"))
 
 
 def rivals_in(diagnosed: Path | str | Mapping[str, Any] | Diagnosis | Rivals, model: Model | None = None) -> Rivals:
