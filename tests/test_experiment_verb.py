@@ -68,10 +68,12 @@ def test_the_answer_in_words() -> None:
     print_design(console, found, "equimus-ctrl run commands", "equimus-ctrl diagnose")
     text = " ".join(console.export_text().split())
     assert (
-        "sensor_delay at hip and knee or transport_delay at maa and baa: not distinguishable within the limits" in text
+        "sensor delay at hip and knee or transport delay at maa and baa: not distinguishable within the limits" in text
     )
     assert "would distinguish them: a sensor" in text and "in place of" in text
-    assert "at most 10 %" in text and "equimus-ctrl run commands" in text
+    assert "at most 10 %" in text and "none is worth making" in text and "equimus-ctrl run commands" not in text
+    print_design(console, of_frictions(), "equimus-ctrl run commands", "equimus-ctrl diagnose")
+    assert "  equimus-ctrl run commands\n  equimus-ctrl diagnose\n" in console.export_text()
     (pair,) = of_frictions().pairs
     assert "trial" in pair_sentence(of_frictions(), pair) or "repeats" in pair_sentence(of_frictions(), pair)
     assert "settle this already" in pair_sentence(found, replace(pair, ending="settled"))
@@ -114,7 +116,7 @@ def test_the_command_writes_what_run_plays(tmp_path: Path, monkeypatch: pytest.M
     out, err = capsys.readouterr()
     record = json.loads(out)
     assert record["run"] == "equimus-ctrl run commands --set file=next/design.csv --record designed"
-    assert record["run"] in err and record["pairs"][0]["ending"] == "inseparable"
+    assert "none is worth making" in err and record["pairs"][0]["ending"] == "inseparable"
     assert main([*record["run"].split()[1:], "--no-figures"]) == 0
     assert list((tmp_path / "designed").glob("*.csv"))
     assert main(words) == 2

@@ -1,9 +1,9 @@
 """What would tell rivals apart that no command does: another sensor, or a parameter made known.
 
 The trial stays as it is, and one channel more is measured in it: a joint's velocity, a drive's force, the pressure in
-an actuator. Each has noise of its own; where nobody says how much, ``SHARE`` of how far it goes in the trial, of a
-pressure of its whole range. Or a parameter that all rivals leave free is known to ``KNOWN`` of its size. How far rivals
-are apart then is what ``separation`` says, to first order.
+an actuator. Each has noise of its own; where nobody says how much, ``SHARE`` of how far it goes, in the trial in which
+it goes farthest, of a pressure of its whole range. Or a parameter that all rivals leave free is known to ``KNOWN`` of
+its size. How far rivals are apart then is what ``separation`` says, to first order.
 """
 
 from __future__ import annotations
@@ -87,19 +87,22 @@ def remedies(
     """
     simulator = simulator or rivals.simulator()
     check_noises(rivals, noises or {})
+    several = list({id(commands): commands for own in trials.values() for commands in own}.values())
+    if not several:
+        return {}
+    cut = predicted_trials(rivals, rivals.rivals[0].model, several, simulator)
+    sizes = {**_usual_noises(rivals, limits, cut, simulator), **(noises or {})}
+    made = {
+        id(commands): _with_each(rivals, commands, trial, sizes, simulator)
+        for commands, trial in zip(several, cut, strict=True)
+    }
     found: dict[tuple[int, int], tuple[Remedy, ...]] = {}
-    made: dict[int, list[tuple[Remedy, Separation]]] = {}
     for pair, own in trials.items():
         best: dict[str, Remedy] = {}
         for commands in own:
-            if id(commands) not in made:
-                made[id(commands)] = _with_each(rivals, commands, limits, noises or {}, simulator)
-            plain = made[id(commands)][0][1]
-            for told, apart in made[id(commands)][1:]:
-                one = replace(told, pair=pair, gap=_lesser(apart, pair), without=_lesser(plain, pair))
-                if told.name not in best or one.gap > best[told.name].gap:
-                    best[told.name] = one
-            for one in _made_known(rivals, plain, pair):
+            (_, plain), *with_each = made[id(commands)]
+            told = [replace(r, pair=pair, gap=_lesser(a, pair), without=_lesser(plain, pair)) for r, a in with_each]
+            for one in (*told, *_made_known(rivals, plain, pair)):
                 if one.name not in best or one.gap > best[one.name].gap:
                     best[one.name] = one
         found[pair] = tuple(sorted(best.values(), key=lambda own: -own.gap))
@@ -126,27 +129,38 @@ def channels_of_robot(rivals: Rivals) -> dict[str, str]:
     return {name: unit for name, unit in found.items() if name not in have}
 
 
+def _usual_noises(
+    rivals: Rivals, limits: Limits, trials: Sequence[Sequence[Segment]], simulator: Simulator
+) -> dict[str, float]:
+    """Channel → its noise where nobody says how much, see ``SHARE``."""
+    found, truth = dict[str, float](), rivals.rivals[0].model
+    for name in channels_of_robot(rivals):
+        if name.startswith(PRESSURE):
+            actuator = truth.robot.actuator_names.index(name.removeprefix(PRESSURE))
+            found[name] = SHARE * float(limits.command_high[actuator] - limits.command_low[actuator])
+            continue
+        more = _more(rivals, name)
+        goes = [_goes(truth, [_measuring(segment, more) for segment in own], name, simulator) for own in trials]
+        found[name] = SHARE * (max(float(np.ptp(own)) for own in goes) or 1.0)
+    return found
+
+
 def _with_each(
-    rivals: Rivals, commands: Commands, limits: Limits, noises: Mapping[str, float], simulator: Simulator
+    rivals: Rivals, commands: Commands, trial: Sequence[Segment], noises: Mapping[str, float], simulator: Simulator
 ) -> list[tuple[Remedy, Separation]]:
     """What there is without a further channel, then with each alone."""
-    truth = rivals.rivals[0].model
-    (trial,) = predicted_trials(rivals, truth, [commands], simulator)
     (plain,) = apart_in(rivals, [trial], 0, None, simulator)
     found = [(Remedy("sensor", "", 0.0, "", (0, 0), 0.0, 0.0), plain)]
     for name, unit in channels_of_robot(rivals).items():
+        noise = noises[name]
         if name.startswith(PRESSURE):
             actuator = rivals.model.robot.actuator_names.index(name.removeprefix(PRESSURE))
-            span = float(limits.command_high[actuator] - limits.command_low[actuator])
-            noise = noises.get(name) or SHARE * span
             apart = with_channel(rivals, plain, _pressure_of(commands, rivals, actuator, noise), simulator)
         else:
             more = _more(rivals, name)
-            wider = [_measuring(segment, more) for segment in trial]
-            noise = noises.get(name) or SHARE * _reach(_goes(truth, wider, name, simulator))
             seen = replace(rivals, channels=more, noise=_noise(rivals, more, name, noise))
-            (apart,) = apart_in(seen, [wider], 0, None, simulator)
-        found.append((Remedy("sensor", name, float(noise), unit, (0, 0), 0.0, 0.0), apart))
+            (apart,) = apart_in(seen, [[_measuring(segment, more) for segment in trial]], 0, None, simulator)
+        found.append((Remedy("sensor", name, noise, unit, (0, 0), 0.0, 0.0), apart))
     return found
 
 
@@ -183,10 +197,6 @@ def _with_information(rivals: Rivals, apart: Separation, place: int, k: int, siz
 
 def _lesser(apart: Separation, pair: tuple[int, int]) -> float:
     return min(apart.gap(*pair), apart.gap(pair[1], pair[0]))
-
-
-def _reach(values: Array) -> float:
-    return float(np.ptp(values)) or 1.0
 
 
 def _more(rivals: Rivals, name: str) -> Channels:

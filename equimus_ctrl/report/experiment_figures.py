@@ -16,6 +16,7 @@ from equimus_ctrl.experiments.results import Designed
 from equimus_ctrl.report import style
 from equimus_ctrl.report.commands_figure import WIDTH, drop, grid_of
 from equimus_ctrl.report.diagnosis_words import percent
+from equimus_ctrl.report.experiment_text import named
 from equimus_ctrl.robots.reading import reading
 
 MOST_DRAWN = 4
@@ -58,7 +59,7 @@ def commands_figure(found: Designed) -> Figure:
     for i, name in enumerate(robot.actuator_names):
         axes, shown = panels[divmod(i, columns)], reading(robot.command_units[i])
         style.dress(
-            axes, title=name, y=f"{name} [{shown.unit}]" if shown.unit else name,
+            axes, y=f"{name} [{shown.unit}]" if shown.unit else name,
             x="time [s]" if i + columns >= na else "",
         )  # fmt: skip
         draw = axes.plot if found.rivals.linear else axes.step
@@ -100,7 +101,7 @@ def predictions_figure(found: Designed, own: Forecast) -> Figure:
         left.set_xlim(0, found.commands.duration)
     figure.align_ylabels()
     handles: list[Artist] = [
-        Line2D([], [], color=style.joint_colour(k), label=_label(rivals[k].label)) for k in range(drawn)
+        Line2D([], [], color=style.joint_colour(k), label=_label(named(rivals[k]))) for k in range(drawn)
     ]
     handles.append(Patch(facecolor=style.SHADE, label="one standard deviation of the noise"))
     style.legend_below(figure, handles)
@@ -131,7 +132,7 @@ def power_figure(found: Designed) -> Figure:
             f"{percent(power.chance)}, {repeats}", (1.0, y), xycoords=("axes fraction", "data"), xytext=(6, 0),
             textcoords="offset points", va="center", fontsize=style.SMALL_SIZE, color=style.INK,
         )  # fmt: skip
-        labels.append(f"{_label(rivals[power.first].label)}\nnot {_label(rivals[power.second].label)}")
+        labels.append(f"{_label(named(rivals[power.first]))}\nnot {_label(named(rivals[power.second]))}")
     axes.set_yticks(range(len(rows)), labels)
     axes.set_ylim(len(rows) - 0.4, -0.6)
     axes.set_xscale("log")

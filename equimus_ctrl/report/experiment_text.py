@@ -5,10 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
+from equimus_ctrl.diagnosis.rivals import NOTHING, Rival
 from equimus_ctrl.experiments.power import LIKELY, MOST_REPEATS, Power
 from equimus_ctrl.experiments.results import Designed, Pair
 from equimus_ctrl.experiments.sensors import Remedy
-from equimus_ctrl.report.diagnosis_words import listed, number, percent, quantity
+from equimus_ctrl.report.diagnosis_words import listed, number, percent, quantity, short
 from equimus_ctrl.shown import counted
 
 if TYPE_CHECKING:
@@ -16,6 +17,11 @@ if TYPE_CHECKING:
 
 TOLD_REMEDIES = 3
 """Sensors and parameters that are listed for a pair."""
+
+
+def named(rival: Rival) -> str:
+    """An explanation in words."""
+    return " and ".join(short(own) for own in rival.effects) or NOTHING
 
 
 def headline(found: Designed) -> str:
@@ -32,7 +38,7 @@ def headline(found: Designed) -> str:
 
 def pair_sentence(found: Designed, pair: Pair) -> str:
     """What becomes of two explanations."""
-    first, second = (found.rivals.rivals[k].label for k in pair.places)
+    first, second = (named(found.rivals.rivals[k]) for k in pair.places)
     power = pair.harder
     if pair.ending == "settled":
         return f"{first} or {second}: the recordings so far settle this already."
@@ -55,25 +61,33 @@ def pair_sentence(found: Designed, pair: Pair) -> str:
 
 def gap_text(power: Power) -> str:
     """−2Δln L that is expected, with its interval, and what is needed."""
-    low, high = power.interval
-    needed = power.needed - power.ahead
-    return f"{number(power.gap)}, 90 % between {number(low)} and {number(high)}; needed {number(max(needed, 0.0))}"
+    low, high = (_gap(value) for value in power.interval)
+    needed = _gap(max(power.needed - power.ahead, 0.0))
+    return f"{_gap(power.gap)}, 90 % between {low} and {high}; needed {needed}"
+
+
+def _gap(value: float) -> str:
+    """−2Δln L to a tenth at most: less says nothing."""
+    return number(value, 1) if abs(value) < 10 else number(value)
 
 
 def remedy_sentence(remedy: Remedy) -> str:
     """What a sensor or a known parameter would do."""
-    beside = f"expected gap {number(remedy.gap)} in place of {number(remedy.without)}"
+    beside = f"expected gap {_gap(remedy.gap)} in place of {_gap(remedy.without)}"
     if remedy.kind == "parameter":
         return f"{remedy.name} known to {quantity(remedy.noise, remedy.unit, 2)}: {beside}"
     return f"a sensor {remedy.name} with noise of {quantity(remedy.noise, remedy.unit, 2)}: {beside}"
 
 
 def helpful(found: Designed, pair: Pair) -> list[Remedy]:
-    """What would settle an inseparable pair, best first."""
+    """What would settle an inseparable pair: the best of each kind, best first."""
     power = pair.harder
     needed = power.needed - power.ahead
-    own = [r for r in found.remedies.get(pair.places, ()) if r.gap > needed and r.gap > 2 * r.without]
-    return own[:TOLD_REMEDIES]
+    best: dict[str, Remedy] = {}
+    for own in found.remedies.get(pair.places, ()):
+        if own.gap > needed and own.gap > 2 * own.without:
+            best.setdefault(own.name.partition(".")[0] if own.kind == "sensor" else own.kind, own)
+    return list(best.values())[:TOLD_REMEDIES]
 
 
 def limits_sentence(found: Designed) -> str:
@@ -108,7 +122,7 @@ def print_design(console: Console, found: Designed, run: str, again: str) -> Non
             say(line, 2)
 
     count = len(found.rivals.rivals)
-    listing(f"The diagnosis leaves {counted(count, 'explanation')}", [own.label for own in found.rivals.rivals])
+    listing(f"The diagnosis leaves {counted(count, 'explanation')}", [named(own) for own in found.rivals.rivals])
     say(headline(found), style="bold")
     for pair in found.pairs:
         say(pair_sentence(found, pair), 2)
@@ -121,6 +135,9 @@ def print_design(console: Console, found: Designed, run: str, again: str) -> Non
     say(limits_sentence(found))
     for text, why in found.refused:
         say(f"Not tried, {text}: {why}", style="yellow")
+    if not any(own.ending in ("one trial", "repeats", "another trial") for own in found.pairs):
+        say("No trial within these limits decides anything: none is worth making.", style="bold")
+        return
     say("Make the trial (on the robot with --plant hardware --arm), then diagnose it with the others:")
     for line in (run, again):
         console.print(f"  {line}", markup=False, soft_wrap=True, highlight=False)
