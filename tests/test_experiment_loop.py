@@ -47,7 +47,7 @@ def test_beliefs_are_by_how_much_each_is_behind_the_first() -> None:
     assert last.label == NOTHING and not last.left and math.isinf(last.behind)
     assert belief.left == (first, second)
     assert Belief.from_dict(json.loads(json.dumps(plain(belief.to_dict())))) == belief
-    assert "not distinguished from viscous_friction" in str(belief) and f"; distinguished from {NOTHING}" in str(belief)
+    assert "not distinguished from viscous_friction" in str(belief) and f"; no longer left: {NOTHING}" in str(belief)
 
 
 def test_an_effect_of_known_size_is_another_one_at_another_size() -> None:

@@ -72,7 +72,7 @@ class Belief:
         if others:
             told += "; not distinguished from " + ", ".join(f"{own.label} ({own.behind:+.3g})" for own in others)
         if gone := [own for own in self.explanations if not own.left]:
-            told += "; distinguished from " + ", ".join(f"{own.label} ({own.behind:+.3g})" for own in gone)
+            told += "; no longer left: " + ", ".join(f"{own.label} ({own.behind:+.3g})" for own in gone)
         return told
 
     def to_dict(self) -> dict[str, Any]:

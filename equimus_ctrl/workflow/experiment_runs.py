@@ -26,6 +26,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from equimus_ctrl import outputs, presets
+from equimus_ctrl.diagnosis.diagnose import Progress
 from equimus_ctrl.diagnosis.rivals import Rivals, identity
 from equimus_ctrl.effects.base import Effect
 from equimus_ctrl.errors import ConfigError, NothingFeasible
@@ -66,8 +67,6 @@ if TYPE_CHECKING:
 SCHEMA = "equimus-ctrl/experiments/1"
 FIRST, NAMED = "first", "designed_"
 """Names of the trials that are made: the first one where nothing was recorded before, and designed ones by number."""
-Progress = Callable[[str, float, str | None], None]
-"""Called with the stage, the share of it that is done, and the best hypothesis so far, if there is one."""
 Ask = Callable[[str], None]
 """Called before a trial with what has to be set first, as a sentence; raises where it is not."""
 Say = Callable[[str], None]
@@ -232,7 +231,7 @@ class _Bench:
         armed: whether that is commanded.
         source: file of the model.
         ask: see ``Ask``; None where nobody can be asked.
-        progress: see ``Progress``.
+        progress: see ``diagnosis.diagnose``.
         say: see ``Say``.
     """
 
@@ -269,7 +268,7 @@ class _Bench:
         limits, seed = limits_for(self.options, self.model.robot), self.options.seed + number
 
         def progress(stage: str, share: float) -> None:
-            self.progress(f"step {number}: {stage}", share, None)
+            self.progress(f"step {number}: {stage}", share, "")
 
         if before is None:
             progress("first trial", 0.0)
@@ -319,7 +318,7 @@ class _Bench:
                 hardware=self.hardware,
                 armed=self.armed,
                 record=attempt,
-                progress=lambda share: self.progress(f"step {number}: {plan.trial}", share, None),
+                progress=lambda share: self.progress(f"step {number}: {plan.trial}", share, ""),
             )
             if done.recording is None:
                 raise ConfigError(f"--plant {self.plant} records nothing, expected one that makes recordings")
@@ -348,14 +347,14 @@ class _Bench:
             free=o.free, fix=o.fix, exclude=o.exclude, also=o.also, validation=o.validation, threads=o.threads
         )
 
-        def progress(stage: str, share: float, best: str | None) -> None:
+        def progress(stage: str, share: float, best: str) -> None:
             self.progress(f"step {number}: {stage}", share, best)
 
         found = diagnose(
             [*self.given, *self.made], self.model, options, heldout=held_out(self.names, options.validation),
             progress=progress,
         )  # fmt: skip
-        progress("belief", 0.0, None)
+        progress("belief", 0.0, "")
         now = found.rivals
         gone = no_longer_left(before, found, now)
         became = () if plan is None or before is None else realised(before, plan.predicted, now, gone)
@@ -416,7 +415,7 @@ def run_experiments(
         source: the file that the model was read from, beside which corrected models name its XML.
         ask: called with what has to be set before a trial, such as a payload; raises where it is not. A simulation sets
             it by itself where nobody is asked; a real robot does not.
-        progress: see ``Progress``.
+        progress: called with the stage, the share done and the best hypothesis so far.
         say: called with sentences for people.
         **changes: of the options, one by one.
 
