@@ -32,17 +32,17 @@ from equimus_ctrl.shown import counted
 from equimus_ctrl.types import Array
 
 EVALUATIONS, COSTLY_EVALUATIONS = 400, 120
-"""Of designs, of engines that take little and long."""
+"""Of designs, where simulations take little and long, see ``Ground.takes_long``."""
 LOOKED_AT, COSTLY_LOOKED_AT = 4, 1
-"""Draws of each rival that are looked at in the search, of the same engines."""
+"""Draws of each rival that are looked at in the search, likewise."""
 LIMIT_DRAWS = 99
 """Of each rival that the final design is taken through: the true robot leaves the limits with 1 % at most."""
 CANDIDATES = 3
 """Designs that are compared by refitting."""
 FEW_DRAWS = 3
 """Of the true rival where candidates are compared."""
-COSTLY_DRAWS = 2
-"""Of the true rival for the final design, of engines that take long."""
+COSTLY_DRAWS = 4
+"""Of the true rival for the final design, where simulations take long."""
 REFITS = 160
 """For the power of the final design, in all: with more pairs each has fewer draws, down to ``LEAST_DRAWS``."""
 LEAST_DRAWS = 4
@@ -98,8 +98,8 @@ def designed(
     check_noises(rivals, noises or {})
     with threadpool_limits(limits=1, user_api="blas"):  # sums in another order would change the last bits
         simulator = simulator or rivals.simulator()
-        costly = simulator.engine.costly
         grounds, refused = _grounds(rivals, limits, conditions, simulator)
+        costly = grounds[0].takes_long
         looked_at = COSTLY_LOOKED_AT if costly else LOOKED_AT
         arms = list[Arm]()
         for c, ground in enumerate(grounds):
@@ -111,10 +111,12 @@ def designed(
         asked = evaluations or (COSTLY_EVALUATIONS if costly else EVALUATIONS)
         timed_out = search(arms, asked, over, lambda share: progress("search", share))
         final = _Final.of(rivals, draws, seed)
-        kept = final.kept([(arm, own.point) for arm in arms for own in arm.best], progress)
+        designs = sorted(((arm, own) for arm in arms for own in arm.best), key=lambda pair: -pair[1].value)
+        most = CANDIDATES if simulator.engine.costly else len(designs)
+        kept = final.kept([(arm, own.point) for arm, own in designs[:most]], progress)
         if not kept:
             raise NothingFeasible(_why_nothing(arms))
-        chosen = _best(kept, 0 if costly else FEW_DRAWS, seed, over, progress)
+        chosen = _best(kept, 0 if simulator.engine.costly else FEW_DRAWS, seed, over, progress)
         wanted = told_pairs(rivals)
         count = COSTLY_DRAWS if costly else int(np.clip(refits // len(wanted), LEAST_DRAWS, DRAWS))
         progress("power", 0.0)
@@ -122,7 +124,7 @@ def designed(
         found = powers(rivals, chosen.commands, rng, draws=count, pairs=wanted, simulator=simulator)
         pairs, others = [], dict[tuple[int, int], Commands]()
         for both in _both_ways(found):
-            own, other = _ending(rivals, both, final, arms)
+            own, other = _ending(rivals, both, final, arms, count)
             pairs.append(own)
             if other is not None:
                 others[own.places] = other
@@ -292,7 +294,7 @@ def _both_ways(found: Sequence[Power]) -> Iterator[tuple[Power, Power]]:
 
 
 def _ending(
-    rivals: Rivals, both: tuple[Power, Power], final: _Final, arms: Sequence[Arm]
+    rivals: Rivals, both: tuple[Power, Power], final: _Final, arms: Sequence[Arm], draws: int
 ) -> tuple[Pair, Commands | None]:
     """What becomes of a pair; where the design does not settle it, of all that were tried the one that may."""
     accepted = all(rivals.rivals[own.first].accepted for own in both)
@@ -306,7 +308,7 @@ def _ending(
     tried.sort(key=lambda own: -own[1].separation.distance(*pair))
     for other in final.kept([(arm, own.point) for arm, own in tried[:1]], lambda stage, share: None):
         several = powers(
-            rivals, other.commands, np.random.default_rng(0), draws=0, pairs=[pair, pair[::-1]],
+            rivals, other.commands, np.random.default_rng(0), draws=draws, pairs=[pair, pair[::-1]],
             simulator=other.ground.simulator,
         )  # fmt: skip
         often = all(math.isfinite(own.repeats) for own in several)

@@ -25,6 +25,8 @@ from equimus_ctrl.types import Array, Recording
 
 THERE = 1e-2
 """How near to a pose a robot has to rest that is to rest there [rad or m]."""
+FEW_JOINTS = 3
+"""Robots of more take long to simulate: their equations grow with the square of that, their parameters with it."""
 LEAD = 2.0
 """How long robots that need not start at rest are held by the command at rest before a trial, so that each explanation
 comes to where it rests by itself [s]."""
@@ -80,6 +82,11 @@ class Ground:
             if all(abs(pose[robot.joint_names.index(j)] - v) <= THERE for j, v in condition.pose.items()):
                 return cls(rivals, limits, condition, simulator, own, pose)
         raise refused or ConfigError(f"{condition.text}: {robot.name} does not rest there under any command")
+
+    @property
+    def takes_long(self) -> bool:
+        """Whether a simulation takes long: of an engine that is costly, or of a robot of many joints."""
+        return self.simulator.engine.costly or len(self.rivals.model.robot.joint_names) > FEW_JOINTS
 
     @cached_property
     def bounds(self) -> CommandBounds:

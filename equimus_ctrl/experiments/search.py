@@ -34,7 +34,7 @@ FARTHEST = 1e3
 KEPT = 2
 """Best designs of each family that are looked at more closely."""
 EXAMPLES = 2
-"""Trials by which the directions are found along which free numbers count, where engines take long."""
+"""Trials by which the directions are found along which free numbers count, where simulations take long."""
 
 Over = Callable[[], bool]
 """Whether the time is up."""
@@ -73,7 +73,7 @@ class Arm:
         self.largest: Array | None = None
         self.nearest: dict[tuple[int, int], Tried] = {}
         self.spent = 0
-        self._seed, self._bases = seed, None if not ground.simulator.engine.costly else list[Separation]()
+        self._seed, self._bases = seed, list[Separation]() if ground.takes_long else None
         self._found: Bases | None = None
         self._cma: cmaes.CMA | None = None
 
@@ -125,7 +125,7 @@ class Arm:
                 self.nearest[pair] = own
 
     def _apart(self, designs: Sequence[Commands]) -> list[Separation]:
-        """How far rivals are apart; where the engine takes long along the directions that count."""
+        """How far rivals are apart; where simulations take long along the directions that count."""
         rivals, simulator = self.ground.rivals, self.ground.simulator
         found = list[Separation]()
         if self._bases is not None and self._found is None and designs:
