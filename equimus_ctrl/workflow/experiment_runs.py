@@ -493,7 +493,8 @@ def _ended(bench: _Bench, steps: Sequence[Step]) -> tuple[End, str]:
     """Why there was no further trial, and the same as a sentence."""
     last = steps[-1]
     if len(last.rivals.rivals) == 1:
-        return "resolved", ENDS["resolved"]
+        whole = last.verdict not in ("partly_explained", "unexplained")
+        return "resolved", ENDS["resolved"] + ("" if whole else ", which does not explain all that was measured")
     if (end := bench.spent(steps)) is not None:
         return end, ENDS[end]
     plan = Plan.read(bench.place(last.number + 1))
