@@ -47,6 +47,10 @@ class SimulationDiverged(EquimusError):
     recording: Any = None
 
 
+class NothingFeasible(EquimusError):
+    """Nothing within the limits was found."""
+
+
 class HardwareFault(EquimusError):
     """A robot was vented because something was not as it must be."""
 

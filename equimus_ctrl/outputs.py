@@ -18,7 +18,7 @@ from typing import Any
 from equimus_ctrl import presets
 from equimus_ctrl.errors import ConfigError
 
-RECORDS = ("record.json", "score.json", "validation.json")
+RECORDS = ("record.json", "score.json", "validation.json", "design.json")
 """What the record of a folder of results is called, verb by verb."""
 
 
@@ -149,6 +149,21 @@ def check_free(path: Path) -> None:
     """Raise ConfigError where something is there already."""
     if os.path.lexists(path):
         raise ConfigError(f"{path}: is there already; expected another name, or --force to replace it")
+
+
+def named_at_last(path: Path, name: Path) -> Path:
+    """Give a file that has become whole the name by which others look for it.
+
+    Raises:
+        ConfigError: where something has that name, or it cannot be moved.
+    """
+    check_new(name)
+    presets.make_folder(name.parent)
+    try:
+        os.replace(path, name)
+    except OSError as error:
+        raise ConfigError(f"{name}: cannot be written ({error.strerror or error})") from None
+    return name
 
 
 def write_record(folder: Path, name: str, record: Mapping[str, Any], files: Iterable[Path]) -> Path:

@@ -105,7 +105,6 @@ def diagnosed_arm(spring: bool = False) -> Diagnosis:
         rejected=(),
         ranking=tuple(Ranked(named, 900.0 / k, 5e4 / k, 74.0) for k, named in enumerate(names, 1)),
         detectable=(),
-        experiment=None,
         excess_variance={s: float(excess_variances(r.train, sigma).mean()) for s, r in residuals.items()},
         notes=(),
         seconds=60.0,

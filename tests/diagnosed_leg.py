@@ -19,7 +19,6 @@ from equimus_ctrl.diagnosis.results import (
     Diagnosis,
     Estimate,
     Evidence,
-    Experiment,
     Finding,
     Named,
     Ranked,
@@ -165,7 +164,6 @@ def assembled(
         ),
         ranking=tuple(ranking),
         detectable=(),
-        experiment=Experiment("hold", {"p1": 12.0, "p2": 2.5}, (found.named, other), 6.2),
         excess_variance={s: float(excess_variances(r.train, sigma).mean()) for s, r in residuals.items()},
         notes=("maa.damping ended at a bound & more.",),
         seconds=21.3,
@@ -177,7 +175,7 @@ def explained(d: Diagnosis) -> Diagnosis:
 
 
 def unexplained(d: Diagnosis) -> Diagnosis:
-    return replace(d, verdict="unexplained", findings=(), experiment=None)
+    return replace(d, verdict="unexplained", findings=())
 
 
 def consistent(d: Diagnosis) -> Diagnosis:
@@ -193,7 +191,6 @@ def consistent(d: Diagnosis) -> Diagnosis:
         findings=(),
         unexplained=(),
         rejected=(),
-        experiment=None,
         notes=(),
         detectable=smallest,
     )

@@ -19,9 +19,10 @@ import pytest
 
 import equimus_ctrl as eq
 from equimus_ctrl import presets, workflow
+from equimus_ctrl.errors import NothingFeasible
 from equimus_ctrl.executors.where import Where
 from equimus_ctrl.tuning import autotune as tuning
-from equimus_ctrl.tuning.autotune import NothingFeasible, autotune, best_feasible
+from equimus_ctrl.tuning.autotune import autotune, best_feasible
 from equimus_ctrl.tuning.ensemble import make_ensemble
 from equimus_ctrl.tuning.evaluation import Evaluation
 from equimus_ctrl.tuning.journal import RowJournal

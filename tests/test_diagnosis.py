@@ -5,8 +5,6 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 from functools import cache
-from types import SimpleNamespace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -14,12 +12,11 @@ from leg_runs import recordings
 
 from equimus_ctrl.diagnosis.candidates import candidates
 from equimus_ctrl.diagnosis.diagnose import DiagnosisSettings, diagnose
-from equimus_ctrl.diagnosis.experiment import Design, _pair
 from equimus_ctrl.diagnosis.fitting import Data, Fitted
 from equimus_ctrl.diagnosis.holdout import split
 from equimus_ctrl.diagnosis.hypothesis import Part, default_free_parameters, model_of, parameters_of, with_part
 from equimus_ctrl.diagnosis.localization import localise
-from equimus_ctrl.diagnosis.results import SCHEMA, Diagnosis, Equivalent, Named
+from equimus_ctrl.diagnosis.results import SCHEMA, Diagnosis
 from equimus_ctrl.diagnosis.search import Search
 from equimus_ctrl.diagnosis.search_state import SearchHistory, SearchState
 from equimus_ctrl.diagnosis.unexplained import ResidualAnalysis
@@ -290,40 +287,17 @@ def test_a_part_that_excludes_others_takes_their_place() -> None:
 
 
 @pytest.mark.slow
-def test_equivalents_come_with_the_experiment_that_tells_them_apart() -> None:
+def test_equivalents_are_explanations_between_which_an_experiment_may_decide() -> None:
     # MAA pulls at the hip alone: over a small range dry friction of either looks the same.
     model = nominal_model()
     trials = recordings((parse("coulomb_friction:maa:friction=0.06"),), noise=2e-3)
-    designs = []
-    for amplitude in (2e3, 9e3):
-        t = np.arange(0, 5, 0.01)
-        wave = 1.2e4 + amplitude * np.sin(4 * t)[:, None] * np.ones(2)
-        designs.append(Design("chirp", {"amplitude": amplitude / 1e3}, t, wave))
-    found = diagnose(
-        default_free_parameters(model),
-        split(model, trials),
-        settings=DiagnosisSettings(threads=2),
-        designs=lambda: designs,
-    )
+    found = diagnose(default_free_parameters(model), split(model, trials), settings=DiagnosisSettings(threads=2))
     (finding,) = found.findings
     named = {(finding.named.effect, finding.named.locations)}
     named |= {(e.effect, e.locations) for e in finding.equivalent}
     assert {("coulomb_friction", ("maa",)), ("coulomb_friction", ("hip",))} <= named
-    assert found.experiment is not None and found.experiment.distance > 0
-    assert {str(n) for n in found.experiment.separates} == {"coulomb_friction at maa", "coulomb_friction at hip"}
-
-
-def test_an_experiment_separates_a_finding_from_the_fit_of_its_equivalent() -> None:
-    first, second, fits = object(), object(), [object(), object()]
-    end: Any = SimpleNamespace(best=SimpleNamespace(hypothesis=(first, second)))
-    findings: Any = [
-        SimpleNamespace(part=second, law=None, named="second"),
-        SimpleNamespace(part=object(), law=first, named="first"),  # at one of several places
-    ]
-    other: Any = [Equivalent(Named("dead_zone", ("baa",)), fit) for fit in fits]  # type: ignore[arg-type]
-    assert _pair(end, findings, [(other[0],), ()]) == ("first", other[0])
-    assert _pair(end, findings, [(other[0],), (other[1],)]) == ("second", other[1])
-    assert _pair(end, findings, [(), ()]) is None and _pair(end, findings, ()) is None
+    labels = {rival.label for rival in found.rivals.rivals}
+    assert {"coulomb_friction at maa", "coulomb_friction at hip"} <= labels
 
 
 def test_where_says_which_joint_phase_and_region() -> None:

@@ -21,11 +21,14 @@ from equimus_ctrl.diagnosis.results import (
     Detectable,
     Diagnosis,
     Evidence,
-    Experiment,
     Finding,
     Ranked,
 )
+from equimus_ctrl.diagnosis.rivals import Missing, Rival, Rivals
 from equimus_ctrl.engines.base import Engine
+from equimus_ctrl.identification.channels import Channels
+from equimus_ctrl.identification.noise import JointNoise
+from equimus_ctrl.identification.parameters import FreeParameter
 
 PAGE = (Path(__file__).resolve().parents[1] / "docs" / "formats.md").read_text(encoding="utf-8")
 TABLE = PAGE.partition("### The record of a diagnosis\n")[2].partition("\n## ")[0]
@@ -33,10 +36,10 @@ ROWS = [row.split(" | ", 1) for row in TABLE.splitlines() if row.startswith("| "
 
 WRITERS: tuple[Callable[..., Any], ...] = (
     Diagnosis.to_dict, Diagnosis._groups, Diagnosis._parameters, Finding.to_dict, Ranked.to_dict, Detectable.to_dict,
-    Experiment.to_dict, ResidualForce.to_dict, ResidualAboveNoise.to_dict, Difference.to_dict, Departure.to_dict,
-    AnotherUnit.to_dict, Estimate.to_dict, Named.to_dict, Engine.to_dict,
+    ResidualForce.to_dict, ResidualAboveNoise.to_dict, Difference.to_dict, Departure.to_dict,
+    AnotherUnit.to_dict, Estimate.to_dict, Named.to_dict, Engine.to_dict, Rivals.to_dict, Rival.to_dict,
 )  # fmt: skip
-WHOLE = (Evidence, Decision, ResidualLocation)
+WHOLE = (Evidence, Decision, ResidualLocation, Missing, JointNoise, FreeParameter, Channels)
 """Classes all of whose fields are written."""
 
 

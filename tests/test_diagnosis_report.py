@@ -11,13 +11,14 @@ from html.parser import HTMLParser
 import pytest
 from diagnosed_leg import VERDICTS, consistent
 from rich.console import Console
+from rival_legs import with_other
 from typer.main import get_command
 
 from equimus_ctrl.cli.main import app
 from equimus_ctrl.diagnosis.results import Diagnosis
 from equimus_ctrl.report import diagnosis_text
 from equimus_ctrl.report.diagnosis_figures import diagnosis_figures
-from equimus_ctrl.report.diagnosis_next import next_steps
+from equimus_ctrl.report.diagnosis_next import deciding, next_steps
 from equimus_ctrl.report.diagnosis_page import _method, page
 from equimus_ctrl.report.diagnosis_text import print_diagnosis, sentence
 from equimus_ctrl.report.diagnosis_words import estimate_text
@@ -144,7 +145,7 @@ def test_the_page_is_whole_and_needs_nothing_else(diagnosis: Diagnosis) -> None:
     for one in diagnosis.findings:
         assert sentence(one, diagnosis.model) in said
         assert estimate_text(one.parameters["threshold"]) in said
-    for word in ("supply coupling at baa", "equimus-ctrl run hold --set p1=12 --set p2=2.5", "creep at maa", "21.3 s"):
+    for word in ("supply coupling at baa", "creep at maa", "21.3 s"):
         assert word in said
     assert "up to 0.020 N·m·s/rad (0.016 to 0.024)" in said
     assert "maa.damping ended at a bound & more." in said
@@ -187,7 +188,7 @@ def test_the_terminal_is_told_every_verdict(diagnosis: Diagnosis, verdict: str, 
     assert ("the error changes by" in text) == bool(d.findings) and ("the error is" in text) != bool(d.findings)
     assert ("Where the residuals of the refitted model are" in text) == (verdict != "consistent")
     assert ("Unexplained residuals" in text) == bool(d.unexplained)
-    assert ("equimus-ctrl run hold --set p1=12 --set p2=2.5" in text) == (d.experiment is not None)
+    assert "experiment design" not in text
     assert ("0.061 kPa at baa" in text) == (verdict == "consistent")
 
 
@@ -244,11 +245,28 @@ def test_every_command_of_what_to_do_next_is_one(diagnosis: Diagnosis) -> None:
     """Verbs and options are those of the command."""
     root = get_command(app)
     for verdict in VERDICTS.values():
-        for _, line in next_steps(verdict(diagnosis), ""):
-            words = shlex.split(line)
-            if not words:
-                continue
+        left = verdict(with_other(diagnosis))
+        lines = [line for own in (verdict(diagnosis), left) for _, line in next_steps(own, "")]
+        for words in map(shlex.split, [part for line in lines for part in line.split(" && ") if part]):
             assert words[0] == "equimus-ctrl"
             verb = root.commands[words[1]]  # type: ignore[attr-defined]
+            verb = verb.commands[words[2]] if hasattr(verb, "commands") else verb
             known = {name for parameter in verb.params for name in parameter.opts}
-            assert {word for word in words[2:] if word.startswith("--")} <= known, line
+            assert {word for word in words[2:] if word.startswith("--")} <= known, words
+
+
+def test_an_experiment_is_named_where_something_is_left_to_decide(diagnosis: Diagnosis) -> None:
+    left = with_other(diagnosis)
+    given = "equimus-ctrl diagnose runs --report 'my report' --model=robot.xml --lock wrist=0.5 --plugin own.py"
+    line = "equimus-ctrl experiment design 'my report' --model=robot.xml --lock wrist=0.5 --plugin own.py"
+    found = deciding(left, given)
+    assert found is not None and found[1] == line and "do not distinguish" in found[0]
+    assert line in dict(next_steps(left, given)).values() and line in page(left, "leg", given).replace("&#x27;", "'")
+    console = Console(width=400, record=True, file=io.StringIO())
+    print_diagnosis(console, left, given)
+    assert line in console.export_text()
+    without = deciding(left)
+    assert without is not None
+    assert without[1] == "equimus-ctrl diagnose RECORDINGS --report report && equimus-ctrl experiment design report"
+    assert deciding(diagnosis, given) is None
+    assert deciding(replace(left, verdict="unfinished"), given) is None

@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 from mjcf_models import CRANE, HINGES, RIG, pendulum, refusal
 
-from equimus_ctrl.effects import CoulombFriction, ParallelSpring, PayloadMass
+from equimus_ctrl.effects import REGISTRY, CoulombFriction, ParallelSpring, PayloadMass
+from equimus_ctrl.errors import NotAvailable
 from equimus_ctrl.models.dynamics import Dynamics
 from equimus_ctrl.models.inverse import holding_pressure
 from equimus_ctrl.models.linear import state_matrices
@@ -152,3 +153,11 @@ def test_what_the_equations_cannot_hold_is_a_sentence() -> None:
         ).replace("<worldbody>", '<worldbody><site name="end" pos="1 0 0"/>'),
     )
     assert "which cannot hold its tendon 'cord' that wraps around a geom" in refusal(lambda: Dynamics(Model(ball)))
+
+
+def test_friction_that_grows_with_what_a_drive_exerts_is_refused() -> None:
+    joint = CRANE.joint_names[0]
+    law = REGISTRY["load_friction"]
+    model = Model(CRANE, (law(joint, **dict.fromkeys(law.parameter_info(), 0.1)),))
+    with pytest.raises(NotAvailable, match="load_friction: dry friction that grows with what a drive exerts"):
+        Dynamics(model)

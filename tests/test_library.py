@@ -31,8 +31,8 @@ ROOT = Path(__file__).resolve().parents[1]
 PENDULUM = eq.load_model(ROOT / "docs" / "examples" / "pendulum.xml")
 PACKAGE = ROOT / "equimus_ctrl"
 VERBS = (
-    "check", "compare", "diagnose", "export_model", "identify", "linearise", "list_names", "prove", "run_scenario",
-    "score", "sensitivity", "tune", "validate",
+    "check", "compare", "design_experiment", "diagnose", "export_model", "identify", "linearise", "list_names", "prove",
+    "run_experiments", "run_scenario", "score", "sensitivity", "tune", "validate",
 )  # fmt: skip
 """Of ``equimus-ctrl``, as functions that give a result."""
 FUNCTIONS = sorted(name for name in eq.__all__ if inspect.isfunction(getattr(eq, name)))

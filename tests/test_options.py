@@ -11,7 +11,20 @@ import pytest
 import typer
 
 from equimus_ctrl import workflow
-from equimus_ctrl.cli import autotune, check, compare, diagnose, export, identify, prove, score, sensitivity, validate
+from equimus_ctrl.cli import (
+    autotune,
+    check,
+    compare,
+    diagnose,
+    experiment,
+    export,
+    identify,
+    prove,
+    score,
+    sensitivity,
+    validate,
+)
+from equimus_ctrl.cli.experiment_run import run as run_experiments
 from equimus_ctrl.cli.main import app, main
 from equimus_ctrl.cli.model_choice import ModelChoice
 from equimus_ctrl.cli.options import filled
@@ -22,10 +35,12 @@ from equimus_ctrl.options import (
     AutotuneOptions,
     CheckOptions,
     CompareOptions,
+    DesignOptions,
     DiagnoseOptions,
     ExportOptions,
     IdentifyOptions,
     ProveOptions,
+    RunExperimentsOptions,
     ScoreOptions,
     SensitivityOptions,
     Shard,
@@ -43,6 +58,8 @@ VERBS: dict[str, tuple[Any, type[Any], Any, str, list[str]]] = {
     "check": (check.check, CheckOptions, workflow, "check", ["trials"]),
     "compare": (compare.compare, CompareOptions, workflow, "compare", ["hold"]),
     "diagnose": (diagnose.diagnose, DiagnoseOptions, workflow, "diagnose", ["trials"]),
+    "experiment design": (experiment.design, DesignOptions, workflow, "design_experiment", ["record.json"]),
+    "experiment run": (run_experiments, RunExperimentsOptions, workflow, "run_experiments", []),
     "export": (export.export, ExportOptions, workflow, "export_model", []),
     "identify": (identify.identify, IdentifyOptions, workflow, "identify", ["trials"]),
     "prove": (prove.prove, ProveOptions, proofs, "prove", []),
@@ -59,6 +76,7 @@ EXAMPLES: dict[str, tuple[str, Any]] = {
     "baselines": ("--no-baselines", False),
     "bounds": ("--bound a=1,2 --bound b=-1e-3,0", {"a": (1.0, 2.0), "b": (-1e-3, 0.0)}),
     "budget": ("--budget 60", 60.0),
+    "can": ("--can payload:foot=0.2 --can supply:all=0.8", ["payload:foot=0.2", "supply:all=0.8"]),
     "candidates": ("--candidates 12", 12),
     "by": ("--by folder", "folder"),
     "cases": ("--cases 7", 7),
@@ -68,7 +86,9 @@ EXAMPLES: dict[str, tuple[str, Any]] = {
     "duration": ("--duration 3.5", 3.5),
     "engine": ("--engine mujoco", "mujoco"),
     "force": ("--force", True),
+    "evaluations": ("--evaluations 50", 50),
     "exclude": ("--exclude creep --exclude hysteresis", ["creep", "hysteresis"]),
+    "family": ("--family steps --family hold", ["steps", "hold"]),
     "fit_start": ("--no-fit-start", False),
     "fix": ("--fix a.mass", ["a.mass"]),
     "folds": ("--folds 0", 0),
@@ -83,6 +103,8 @@ EXAMPLES: dict[str, tuple[str, Any]] = {
     "rate": ("--rate 60", 60.0),
     "shares": ("--share 20 --share -5 --share 20", (-0.05, 0.2)),
     "leave_out": ("--leave-out backlash --leave-out creep@maa", ["backlash", "creep@maa"]),
+    "limit": ("--limit knee.margin=0.1 --limit maa.high=40e3", {"knee.margin": "0.1", "maa.high": "40e3"}),
+    "limits": ("--limits own.toml", Path("own.toml")),
     "mapping": ("--map columns.toml", Path("columns.toml")),
     "most": ("--most 2", 2),
     "output": ("-o mine.toml", Path("mine.toml")),
@@ -90,6 +112,8 @@ EXAMPLES: dict[str, tuple[str, Any]] = {
     "recordings": ("--recordings trials", Path("trials")),
     "scenarios": ("--scenario hold --scenario chirp", ["hold", "chirp"]),
     "scenario_options": ("--set duration=2 --set hip=80", {"duration": "2", "hip": "80"}),
+    "seconds": ("--seconds 30", 30.0),
+    "sensor_noise": ("--sensor-noise vel.hip=0.01", {"vel.hip": 0.01}),
     "settings": ("--settings pid=mine.toml", {"pid": Path("mine.toml")}),
     "merge": ("--merge one --merge two", [Path("one"), Path("two")]),
     "scheduler": ("--scheduler tcp://head:8786", "tcp://head:8786"),
@@ -132,7 +156,9 @@ def told(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> dict[str, Any]:
 @pytest.mark.parametrize("verb", VERBS)
 def test_every_option_is_a_field_with_the_same_default(verb: str) -> None:
     function, kind, *_ = VERBS[verb]
-    command = typer.main.get_command(app).commands[verb]  # type: ignore[attr-defined]
+    command: Any = typer.main.get_command(app)
+    for word in verb.split():
+        command = command.commands[word]
     parameters = {parameter.name: parameter for parameter in command.params}
     own = set(inspect.signature(function.__wrapped__).parameters) - {"options"}
     if "chosen" in own:
@@ -146,7 +172,7 @@ def test_every_option_is_a_field_with_the_same_default(verb: str) -> None:
 @pytest.mark.parametrize("verb", VERBS)
 def test_without_options_the_library_is_told_the_defaults(verb: str, told: dict[str, Any]) -> None:
     _, kind, *_, needs = VERBS[verb]
-    assert main([verb, *needs]) == 2
+    assert main([*verb.split(), *needs]) == 2
     assert told["options"] == kind()
 
 
@@ -158,7 +184,7 @@ def test_an_option_sets_its_field_and_no_other(verb: str, name: str, told: dict[
         text, value = "--parameter baa.* --parameter gravity", ["baa.*", "gravity"]
     if (verb, name) == ("identify", "heldout"):
         value = [Path(item) for item in value]
-    assert main([verb, *needs, *text.split()]) == 2
+    assert main([*verb.split(), *needs, *text.split()]) == 2
     assert told["options"] == replace(kind(), **{name: value})
     assert told["options"] != kind()
 
@@ -207,6 +233,10 @@ def test_defaults_that_other_modules_have_too_are_the_same() -> None:
         (AutotuneOptions, {"budget": 0.0}, "the budget is 0 s, expected more than 0"),
         (CompareOptions, {"draws": 0}, "draws is 0, expected at least 1"),
         (CompareOptions, {"seed": -1}, "seed is -1, expected at least 0"),
+        (DesignOptions, {"draws": 0}, "draws is 0, expected at least 1"),
+        (DesignOptions, {"duration": 0.0}, "the duration is 0 s, expected a time above 0"),
+        (DesignOptions, {"budget": -1.0}, "the budget is -1 s, expected a time above 0"),
+        (DesignOptions, {"sensor_noise": {"vel.hip": 0.0}}, "the noise of vel.hip is 0, expected more than 0"),
         (DiagnoseOptions, {"most": 7}, "the largest number of effects is 7, expected 1 to 6"),
         (DiagnoseOptions, {"until": float("nan")}, "the end of what is fitted is nan s, expected a finite time"),
         (DiagnoseOptions, {"by": "day"}, "by: there is no grouping 'day'"),

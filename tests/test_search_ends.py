@@ -25,7 +25,7 @@ from equimus_ctrl.diagnosis.alternatives import (
     without_parts,
 )
 from equimus_ctrl.diagnosis.budget import BudgetSpent
-from equimus_ctrl.diagnosis.findings import _alone, _smallest
+from equimus_ctrl.diagnosis.findings import _alone, smallest_size
 from equimus_ctrl.diagnosis.fitting import Data, Fitted
 from equimus_ctrl.diagnosis.hypothesis import Candidate, Part, beside
 from equimus_ctrl.diagnosis.hypothesis_moves import HypothesisMoves
@@ -475,14 +475,14 @@ def test_the_smallest_that_would_show_is_where_the_gain_reaches_the_threshold(th
     screened: Any = SimpleNamespace(
         candidate=POOL[RUB], tried=[{"friction": size} for size in sizes], strength=(slope * sizes) ** 2
     )
-    assert _smallest(screened, threshold) == pytest.approx(np.sqrt(threshold) / slope)
+    assert smallest_size(screened, threshold) == pytest.approx(np.sqrt(threshold) / slope)
 
 
 def test_of_what_grows_from_nowhere_the_weakest_guess_that_shows_is_told() -> None:
     tried = [{"level": level} for level in (1e4, 2e4, 3e4)]
     screened: Any = SimpleNamespace(candidate=POOL[FULL], tried=tried, strength=np.array([90.0, 30.0, 4.0]))
-    assert _smallest(screened, 18.7) == 2e4
-    assert np.isnan(_smallest(screened, 100.0))
+    assert smallest_size(screened, 18.7) == 2e4
+    assert np.isnan(smallest_size(screened, 100.0))
 
 
 ALONE = frozenset({RUB})

@@ -501,7 +501,7 @@ def test_a_wrong_tuning_is_a_sentence_and_writes_nothing(
 
 
 def test_nothing_feasible_writes_no_settings(study: Path, tmp_path: Path) -> None:
-    from equimus_ctrl.tuning.autotune import NothingFeasible
+    from equimus_ctrl.errors import NothingFeasible
 
     presets.write_text(study, presets.toml_text({**STUDY, "limits": {"overshoot": 0.0, "modulus": 0.5}}))
     (tmp_path / "controllers").mkdir()

@@ -70,6 +70,7 @@ def diagnose(
     check_model_file(write_model, force)
     console = people()
     files: list[Path] = []
+    typed = shlex.join(["equimus-ctrl", *sys.argv[1:]])
     with stage_bar(console, "getting ready", width=34, bar_width=24) as show, best_so_far(console) as asked:
         from equimus_ctrl import workflow
 
@@ -85,11 +86,10 @@ def diagnose(
         if report is not None:
             show("report")
             title = f"Diagnosis of {', '.join(path.name for path in recordings)}"
-            typed = shlex.join(["equimus-ctrl", *sys.argv[1:]])
             files += workflow.write_report(found, report, title, command_line=typed, force=force)
     from equimus_ctrl.report.diagnosis_text import print_diagnosis
 
-    print_diagnosis(console, found)
+    print_diagnosis(console, found, typed)
     if write_model is not None:
         for path, corrected in workflow.by_group(write_model, found.corrected, found.groups):
             # Of groups the names are known now only.

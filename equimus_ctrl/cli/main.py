@@ -17,6 +17,7 @@ from equimus_ctrl.cli import (
     compare,
     diagnose,
     emulate,
+    experiment,
     export,
     hardware,
     identify,
@@ -61,6 +62,7 @@ app.command("diagnose", cls=Command)(diagnose.diagnose)
 app.command("prove", cls=Command)(prove.prove)
 app.command("sensitivity", cls=Command)(sensitivity.sensitivity)
 app.command("list", cls=Command)(list_names.list_names)
+app.add_typer(experiment.app, name="experiment")
 app.add_typer(recordings.app, name="recordings")
 app.add_typer(hardware.app, name="hardware")
 

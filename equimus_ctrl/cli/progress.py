@@ -10,9 +10,10 @@ import typer
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
+    from contextlib import AbstractContextManager
 
     from rich.console import Console
-    from rich.progress import Progress, ProgressColumn
+    from rich.progress import Progress, ProgressColumn, TaskID
 
 
 EVERY = 10.0
@@ -23,6 +24,10 @@ class ShowStage(Protocol):
     """Takes what is new: the stage, its share of 0 to 1, and the best so far."""
 
     def __call__(self, stage: str | None = None, share: float | None = None, best: str | None = None) -> None: ...
+
+    def paused(self) -> AbstractContextManager[None]:
+        """Without the bar, so that a person can be asked something."""
+        ...
 
 
 def bars(console: Console, *columns: str | ProgressColumn, transient: bool = False) -> Progress:
@@ -75,6 +80,36 @@ def share_bar(console: Console, name: str) -> Iterator[Callable[[float], None]]:
         yield lambda share: progress.update(task, completed=share)
 
 
+class _Shown:
+    """See ``ShowStage``."""
+
+    def __init__(self, progress: Progress, task: TaskID) -> None:
+        self._progress, self._task = progress, task
+        self._begun = self._last_shown = time.monotonic()
+
+    def __call__(self, stage: str | None = None, share: float | None = None, best: str | None = None) -> None:
+        progress, task = self._progress, self._task
+        progress.update(task, description=stage, completed=share)
+        if best is not None:
+            progress.update(task, best=best)
+        now, console = time.monotonic(), progress.console
+        if not console.is_terminal and now - self._last_shown >= EVERY:
+            self._last_shown = now
+            own = progress.tasks[task]
+            so_far = f"; best so far: {own.fields['best']}" if own.fields["best"] else ""
+            line = f"{own.description}, {own.completed:.0%} after {now - self._begun:.0f} s{so_far}"
+            console.print(line, markup=False, soft_wrap=True)
+
+    @contextmanager
+    def paused(self) -> Iterator[None]:
+        """See ``ShowStage``."""
+        self._progress.stop()
+        try:
+            yield
+        finally:
+            self._progress.start()
+
+
 @contextmanager
 def stage_bar(
     console: Console, first: str, *, width: int = 0, bar_width: int = 40, stopped: str = "stopped: nothing was written"
@@ -101,23 +136,7 @@ def stage_bar(
     )
     try:
         with bars(console, *columns, transient=True) as progress:
-            task = progress.add_task(first, total=1.0, best="")
-            begun = last_shown = time.monotonic()
-
-            def show(stage: str | None = None, share: float | None = None, best: str | None = None) -> None:
-                nonlocal last_shown
-                progress.update(task, description=stage, completed=share)
-                if best is not None:
-                    progress.update(task, best=best)
-                now = time.monotonic()
-                if not console.is_terminal and now - last_shown >= EVERY:
-                    last_shown = now
-                    own = progress.tasks[task]
-                    so_far = f"; best so far: {own.fields['best']}" if own.fields["best"] else ""
-                    line = f"{own.description}, {own.completed:.0%} after {now - begun:.0f} s{so_far}"
-                    console.print(line, markup=False, soft_wrap=True)
-
-            yield show
+            yield _Shown(progress, progress.add_task(first, total=1.0, best=""))
     except KeyboardInterrupt:
         console.print(stopped, markup=False)
         raise typer.Exit(130) from None

@@ -8,7 +8,6 @@ from threadpoolctl import threadpool_limits
 
 from equimus_ctrl.diagnosis import stages
 from equimus_ctrl.diagnosis.budget import Asked, Budget, never
-from equimus_ctrl.diagnosis.experiment import Designs
 from equimus_ctrl.diagnosis.fitting import Data
 from equimus_ctrl.diagnosis.holdout import Split
 from equimus_ctrl.diagnosis.policy import SearchPolicy
@@ -32,7 +31,6 @@ def diagnose(
     settings: DiagnosisSettings | None = None,
     simulator: Simulator | None = None,
     nominal: Model | None = None,
-    designs: Designs = tuple,
     progress: Progress = lambda stage, share, best: None,
     asked: Asked = never,
 ) -> Diagnosis:
@@ -45,7 +43,6 @@ def diagnose(
         simulator: the engine, with no coarser or finer one beside it; see ``engines.choice.engine_for`` for the
             default.
         nominal: the model that was given, for its errors; that of ``free`` by default.
-        designs: experiments to choose from where effects are not distinguishable.
         progress: see ``Progress``.
         asked: whether its best so far is to be given now; asked after each step of a fit.
 
@@ -57,9 +54,7 @@ def diagnose(
     settings = settings or DiagnosisSettings()
     budget = Budget.beginning_now(settings.budget, asked)
     with budget.with_nothing_yet():
-        return diagnose_within(
-            budget, free, split, settings, simulator=simulator, nominal=nominal, designs=designs, progress=progress
-        )
+        return diagnose_within(budget, free, split, settings, simulator=simulator, nominal=nominal, progress=progress)
 
 
 def diagnose_within(
@@ -70,7 +65,6 @@ def diagnose_within(
     *,
     simulator: Simulator | None = None,
     nominal: Model | None = None,
-    designs: Designs = tuple,
     progress: Progress = lambda stage, share, best: None,
 ) -> Diagnosis:
     """The same within a budget that has begun before, in the place of that of the settings.
@@ -87,7 +81,7 @@ def diagnose_within(
         else:
             data = _with_engine_given(free, split, simulator)
         data = replace(data, budget=budget, thresholds=settings.thresholds)
-        inputs = DiagnosisInputs(data, split, settings, designs, forward(progress), budget.begun, nominal or free.model)
+        inputs = DiagnosisInputs(data, split, settings, forward(progress), budget.begun, nominal or free.model)
         return report(stages.carried_out(inputs))
 
 

@@ -351,7 +351,7 @@ def smallest_sizes(
     for s in screened:
         if s.candidate.each or s.candidate.absent:  # of which each place, and all groups, are candidates by themselves
             continue
-        size = _smallest(s, threshold(s.candidate.n_parameters))
+        size = smallest_size(s, threshold(s.candidate.n_parameters))
         key = next(iter(s.candidate.effect.parameter_info()))
         unit = s.candidate.effect.parameter_info()[key]["unit"]
         unit_there = place_unit(model, unit, s.candidate.locations[0])
@@ -360,7 +360,7 @@ def smallest_sizes(
     return tuple(smallest)
 
 
-def _smallest(screened: Screened, threshold: float) -> float:
+def smallest_size(screened: Screened, threshold: float) -> float:
     """The value of the first parameter at which the change alone would be accepted, from the closest guess."""
     key, nothing = next(iter(screened.candidate.effect.parameter_info())), screened.candidate.effect.grows_from()
     values = np.array([guess[key] for guess in screened.tried])

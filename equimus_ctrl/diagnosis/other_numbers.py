@@ -338,6 +338,20 @@ _ROWS: Mapping[str, tuple[Row, ...]] = {
         ("CONFIDENT", 1.96, "told", "theory", "of its band: normal distribution, 95 %"),
     ),
     # --- what is told -------------------------------------------------------------------------------------------------
+    "diagnosis.explanations": (
+        ("MOST", 8, "told", "convention", "explanations that are kept beside the one given, for experiments"),
+        ("MOST_NEAREST", 3, "told", "convention", "of those that come nearest to what has no name"),
+    ),
+    "diagnosis.rivals": (
+        (
+            "UNIFORM",
+            12.0,
+            "told",
+            "theory",
+            "variance of what recordings do not show: uniform within bounds",
+        ),
+        ("TIGHT", 1e-12, "arithmetic", "convention", "room for what is at a bound, in units of its scale"),
+    ),
     "diagnosis.localization": (
         ("JUST", 0.5, "told", "convention", "how long after a command is just after it [s]"),
         ("STILL", 0.05, "told", "convention", "speed of a joint at rest"),
@@ -346,7 +360,6 @@ _ROWS: Mapping[str, tuple[Row, ...]] = {
         ("REGIONS", 3, "told", "convention", "of a coordinate"),
         ("SLOPE", 4, "told", "convention", "samples by which speeds are read off"),
     ),
-    "diagnosis.experiment": (("STEP", 1e-5, "arithmetic", "theory", "step of differences"),),
 }
 
 

@@ -15,6 +15,7 @@ from equimus_ctrl.diagnosis.estimates import Named as Named
 from equimus_ctrl.diagnosis.fitting import Fitted
 from equimus_ctrl.diagnosis.hypothesis import Part
 from equimus_ctrl.diagnosis.residuals import ResidualLocation, Residuals, Unexplained
+from equimus_ctrl.diagnosis.rivals import Rivals
 from equimus_ctrl.diagnosis.split_comparison import SplitComparison
 from equimus_ctrl.engines.base import Engine
 from equimus_ctrl.errors import ConfigError, unknown_name
@@ -190,32 +191,6 @@ class Detectable:
 
 
 @dataclass(frozen=True)
-class Experiment:
-    """What to record in order to distinguish two effects.
-
-    Attributes:
-        scenario: name of a scenario of ``equimus-ctrl run``, with settings.
-        settings: of the scenario.
-        separates: the two that it distinguishes.
-        distance: root mean square distance between their predictions, refitted to one another, over the noise.
-    """
-
-    scenario: str
-    settings: Mapping[str, float]
-    separates: tuple[Named, Named]
-    distance: float
-
-    def to_dict(self) -> dict[str, Any]:
-        """As JSON data."""
-        return {
-            "scenario": self.scenario,
-            "settings": dict(self.settings),
-            "separates": [named.to_dict() for named in self.separates],
-            "distance_over_noise": self.distance,
-        }
-
-
-@dataclass(frozen=True)
 class Decision:
     """What a stage of a diagnosis decided, and why.
 
@@ -280,7 +255,6 @@ class Diagnosis(Short):
             spoke against them; none that is found, undetermined or not distinguishable all the same.
         ranking: all candidates, alone, best first.
         detectable: smallest detectable sizes of effects; only where nothing was found.
-        experiment: that would distinguish effects that these recordings do not.
         excess_variance: for each state of STATES the excess residual variance on the trials fitted: mean squared
             residual over the noise's variance, minus 1.
         notes: warnings, as sentences.
@@ -291,6 +265,9 @@ class Diagnosis(Short):
         differences: between them, the strongest evidence first.
         another_unit: what of the model's parameters is not nominal; None where the nominal values fit as well.
         splits: what other splits of the trials say; None where nobody asked.
+        explanations: that these recordings leave beside ``best``, see ``explanations.left_by``.
+        nearest: what comes nearest to what has no name, see ``explanations.nearest_to``.
+        below: effects that would just not have been seen, see ``explanations.just_below``; where nothing was found.
     """
 
     verdict: Verdict
@@ -310,7 +287,6 @@ class Diagnosis(Short):
     rejected: tuple[Rejected, ...]
     ranking: tuple[Ranked, ...]
     detectable: tuple[Detectable, ...]
-    experiment: Experiment | None
     excess_variance: Mapping[str, float]
     notes: tuple[str, ...]
     seconds: float
@@ -321,6 +297,9 @@ class Diagnosis(Short):
     differences: tuple[Difference, ...] = ()
     another_unit: AnotherUnit | None = None
     splits: SplitComparison | None = None
+    explanations: tuple[Fitted, ...] = ()
+    nearest: tuple[Fitted, ...] = ()
+    below: tuple[Part, ...] = ()
 
     def told(self) -> str:
         """The verdict, what was found, and how much less the errors are."""
@@ -420,6 +399,11 @@ class Diagnosis(Short):
             return None
         return float(np.median([s.trial.sample_times[-1] - s.trial.start for s in self.train]))
 
+    @property
+    def rivals(self) -> Rivals:
+        """The explanations that these recordings leave, for experiments to decide between."""
+        return Rivals.of(self)
+
     def to_dict(self) -> dict[str, Any]:
         """As JSON data: schema ``equimus-ctrl/diagnosis/2``."""
         return {
@@ -442,10 +426,10 @@ class Diagnosis(Short):
             "parameters": self._parameters(),
             "models": self._models(),
             "zeros": [asdict(zero) for zero in self.best.fit.zeros],
-            "separating_experiment": self.experiment.to_dict() if self.experiment else None,
             "detectable": [smallest.to_dict() for smallest in self.detectable],
             "ranking": [ranked.to_dict() for ranked in self.ranking],
             "another_unit": self.another_unit.to_dict() if self.another_unit else None,
+            "rivals": self.rivals.to_dict(),
             **self._groups(),
             "trials": {part: [s.trial.name for s in getattr(self, part)] for part in SETS},
             "shooting_interval_s": self.interval,

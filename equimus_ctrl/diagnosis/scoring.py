@@ -81,15 +81,27 @@ class Scoring:
 
     def scatter(self, t: Thresholds) -> float:
         """By how much deviances scatter with the local minimum that a fit ends in; 0 where there is one minimum."""
-        return t.minima_scatter if self.settings.many_minima else 0.0
+        return _scatter(t, self.settings.many_minima)
 
     def equally_good(self, t: Thresholds, share: float = 0.0) -> float:
-        """Largest difference of score of two hypotheses that fit as well: max(max(δ, share) + scatter, ε·n).
+        """Largest difference of score of two hypotheses that fit as well, see ``equally_good``."""
+        return equally_good(t, self.data.n, self.settings.many_minima, share)
 
-        δ is ``indistinguishable``, ε the ``simulation_error``, n how many numbers were measured; see ``scatter``.
 
-        Args:
-            t: the thresholds.
-            share: of a gain, where that is more than δ.
-        """
-        return max(max(t.indistinguishable, share) + self.scatter(t), t.simulation_error * self.data.n)
+def equally_good(t: Thresholds, n: int, many_minima: bool, share: float = 0.0) -> float:
+    """Largest difference of score of two hypotheses that fit as well: max(max(δ, share) + scatter, ε·n).
+
+    δ is ``indistinguishable``, ε the ``simulation_error``, scatter what deviances scatter by with the local minimum
+    that a fit ends in.
+
+    Args:
+        t: the thresholds.
+        n: how many numbers were measured.
+        many_minima: whether there is more than one.
+        share: of a gain, where that is more than δ.
+    """
+    return max(max(t.indistinguishable, share) + _scatter(t, many_minima), t.simulation_error * n)
+
+
+def _scatter(t: Thresholds, many_minima: bool) -> float:
+    return t.minima_scatter if many_minima else 0.0

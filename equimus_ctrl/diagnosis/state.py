@@ -7,7 +7,6 @@ from dataclasses import dataclass, field, replace
 
 from equimus_ctrl.diagnosis.budget import Budget
 from equimus_ctrl.diagnosis.differences import AnotherUnit, Difference
-from equimus_ctrl.diagnosis.experiment import Designs
 from equimus_ctrl.diagnosis.fitting import Data, Fitted
 from equimus_ctrl.diagnosis.holdout import Split
 from equimus_ctrl.diagnosis.policy import SearchSettings
@@ -67,7 +66,6 @@ class DiagnosisInputs:
         data: what hypotheses are fitted to.
         split: trials to fit and trials to validate on.
         settings: how it goes.
-        designs: experiments to choose from where effects are not distinguishable.
         progress: see ``Progress``.
         begun: by ``time.perf_counter``.
         nominal: the model that was given; what is free may begin elsewhere, see ``servo_gains``.
@@ -76,7 +74,6 @@ class DiagnosisInputs:
     data: Data
     split: Split
     settings: DiagnosisSettings
-    designs: Designs
     progress: Progress
     begun: float
     nominal: Model

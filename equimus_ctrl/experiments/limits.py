@@ -130,6 +130,8 @@ class Excess:
     def __str__(self) -> str:
         """The limit that is left farthest, or come nearest to, as a sentence."""
         k = int(self.by.argmax())
+        if self.by[k] == -math.inf:
+            return "no joint has one"
         if math.isinf(self.by[k]):
             return f"the simulation of model {self.model[k]} is lost at {self.when[k]:.3g} s"
         unit, _, per = self.units[k].partition("/")

@@ -167,6 +167,7 @@ def cut(
     shoot: float | None = None,
     fit_start: bool = False,
     from_first_row: bool = False,
+    trust: Array | None = None,
 ) -> list[Segment]:
     """The segments of some recordings.
 
@@ -178,6 +179,7 @@ def cut(
             velocities [s]. Of a robot that need not start at rest each whole trial is one by default.
         fit_start: let each recording's first angles be free.
         from_first_row: compare from the first row on, also where commands before it are unknown, see ``unknown_for``.
+        trust: (2 nj,) in starts that are read off, see ``Segment.trust``; as the recordings say by default.
 
     Raises:
         ConfigError: where names do not match, or a recording or a shooting interval is too short to identify from.
@@ -208,7 +210,7 @@ def cut(
             length = min(shoot or math.inf, float(time[inside][-1] - time[inside][0]))
             if not from_first_row:
                 inside = inside & (time >= time[0] + unknown_for(model, recording, length))
-            segments += _shooting_intervals(model, recording, index, inside, length, zeros, channels)
+            segments += _shooting_intervals(model, recording, index, inside, length, zeros, channels, trust)
     return segments
 
 
@@ -224,13 +226,15 @@ def _shooting_intervals(
     length: float,
     zeros: tuple[int, ...],
     channels: Channels,
+    trust: Array | None,
 ) -> list[Segment]:
     """What is compared cut into intervals of about a length [s], each from its own free positions and velocities."""
     time = recording.time
     low, high = time[inside][0], time[inside][-1]
     edges = np.linspace(low, high, max(round((high - low) / length), 1) + 1)
     span = slope_span(model, recording)
-    trust = None if model.robot.traits.smooth_motion else start_trust(recording, span)
+    if trust is None and not model.robot.traits.smooth_motion:
+        trust = start_trust(recording, span)
     also, reach = None, None
     if channels:
         also = measured_channels(channels, recording)

@@ -59,6 +59,12 @@ def _functions(form: Structure, phase: Phase, laws: Laws) -> dict[str, ca.Functi
     for k, (kind, i) in enumerate(m.rubbing):
         if kind == "joint":
             grip[i] = bound[k]
+    if ca.depends_on(needed - rubbed, m.pressure):
+        names = ", ".join(law.name for law in laws if law.loads)
+        raise NotAvailable(
+            f"{names}: dry friction that grows with what a drive exerts; equations of motion cannot be solved for what "
+            "it has to exert then, expected a model without that"
+        )
     given = [m.q, m.v, m.pressure, m.p]
     outputs = {
         "mass": ([m.q, m.p], [mass]),
@@ -126,7 +132,8 @@ class Dynamics:
         robot: with all effects on bodies and drives.
 
     Raises:
-        NotAvailable: where the equations cannot hold the robot, or it has joints that are not measured.
+        NotAvailable: where the equations cannot hold the robot, it has joints that are not measured, or dry friction
+            that grows with what a drive exerts.
     """
 
     def __init__(self, model: Model) -> None:

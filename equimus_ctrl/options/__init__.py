@@ -11,6 +11,8 @@ from equimus_ctrl.options.autotune import AutotuneOptions
 from equimus_ctrl.options.check import CheckOptions
 from equimus_ctrl.options.compare import CompareOptions
 from equimus_ctrl.options.diagnose import DiagnoseOptions
+from equimus_ctrl.options.experiment import DesignOptions
+from equimus_ctrl.options.experiment_run import RunExperimentsOptions
 from equimus_ctrl.options.export import ExportOptions
 from equimus_ctrl.options.fields import NAMES, SPAN, bounds_of, key_values
 from equimus_ctrl.options.identify import IdentifyOptions
@@ -34,11 +36,13 @@ __all__ = [
     "AutotuneOptions",
     "CheckOptions",
     "CompareOptions",
+    "DesignOptions",
     "DiagnoseOptions",
     "ExportOptions",
     "IdentifyOptions",
     "OnCommandLine",
     "ProveOptions",
+    "RunExperimentsOptions",
     "ScoreOptions",
     "SensitivityOptions",
     "Shard",

@@ -5,12 +5,15 @@ from __future__ import annotations
 import shlex
 
 from equimus_ctrl.diagnosis.results import Diagnosis
-from equimus_ctrl.report.diagnosis_text import command, separating
 from equimus_ctrl.report.diagnosis_words import listed
 
 RECORDINGS, NEW = "RECORDINGS", "NEW_RECORDINGS"
 """What stands for names that are not known."""
 SPLITS = 8
+REPORT = "report"
+"""Folder of a report where there is none yet."""
+OF_MODELS = ("--model", "--lock", "--ignore", "--prescribe", "--unmeasured", "--plugin", "--effects")
+"""Options of the command line that say what the model is, each with a value."""
 
 
 def next_steps(diagnosis: Diagnosis, command_line: str = "") -> list[tuple[str, str]]:
@@ -48,8 +51,8 @@ def next_steps(diagnosis: Diagnosis, command_line: str = "") -> list[tuple[str, 
                 f"equimus-ctrl compare hold{of_model} --corrected {corrected}",
             )
         )
-    if diagnosis.experiment is not None:
-        steps.append((separating(diagnosis.experiment), command(diagnosis.experiment)))
+    if experiment := deciding(diagnosis, command_line):
+        steps.append(experiment)
     if diagnosis.unexplained:
         places = listed(list(dict.fromkeys(own.location for own in diagnosis.unexplained)))
         steps.append(
@@ -84,6 +87,43 @@ def next_steps(diagnosis: Diagnosis, command_line: str = "") -> list[tuple[str, 
         )
     )
     return steps
+
+
+def deciding(diagnosis: Diagnosis, command_line: str = "") -> tuple[str, str] | None:
+    """What an experiment would decide, and the command that designs it; None where one explanation is left.
+
+    Args:
+        diagnosis: what was found.
+        command_line: with which it was made, "" where there was none.
+    """
+    if diagnosis.verdict == "unfinished":
+        return None
+    what = [
+        (bool(diagnosis.explanations), "explanations that these recordings do not distinguish"),
+        (bool(diagnosis.nearest), "explanations that come near to what has no name"),
+        (bool(diagnosis.below), "effects that these recordings would just not have shown"),
+    ]
+    if not any(there for there, _ in what):
+        return None
+    given = shlex.split(command_line)
+    again = command_line or f"equimus-ctrl diagnose {RECORDINGS}"
+    report = _value(given, "--report")
+    design = shlex.join(["equimus-ctrl", "experiment", "design", report or REPORT, *_of_model(given)])
+    between = listed([text for there, text in what if there])
+    return (
+        f"Design a trial that decides between {between}.",
+        design if report else f"{again} --report {REPORT} && {design}",
+    )
+
+
+def _of_model(given: list[str]) -> list[str]:
+    """The options of a command line that say what the model is."""
+    found = ["--motors"] if "--motors" in given else []
+    for k, word in enumerate(given):
+        name, equals, _ = word.partition("=")
+        if name in OF_MODELS:
+            found += [word] if equals else given[k : k + 2]
+    return found
 
 
 def _are(names: list[str]) -> str:

@@ -233,11 +233,7 @@ def _rejected(diagnosis: Diagnosis) -> str:
 
 
 def _not_distinguishable(diagnosis: Diagnosis) -> str:
-    body = list_html(diagnosis_text.not_distinguishable(diagnosis))
-    if diagnosis.experiment is not None:
-        body += f"<p>{escape(diagnosis_text.separating(diagnosis.experiment))}</p>"
-        body += f"<pre>{escape(diagnosis_text.command(diagnosis.experiment))}</pre>"
-    return body
+    return list_html(diagnosis_text.not_distinguishable(diagnosis))
 
 
 def _parameters(diagnosis: Diagnosis) -> str:

@@ -18,7 +18,6 @@ from equimus_ctrl.diagnosis.results import (
     Detectable,
     Diagnosis,
     Estimate,
-    Experiment,
     Finding,
     Named,
     Set,
@@ -26,6 +25,7 @@ from equimus_ctrl.diagnosis.results import (
 from equimus_ctrl.effects.base import REGISTRY
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.report import diagnosis_splits
+from equimus_ctrl.report.diagnosis_next import deciding
 from equimus_ctrl.report.diagnosis_sentences import sentence, sentences
 from equimus_ctrl.report.diagnosis_units import departures, differing, unit_answer
 from equimus_ctrl.report.diagnosis_words import (
@@ -349,21 +349,6 @@ def upper(text: str) -> str:
     return text[:1].upper() + text[1:]
 
 
-def command(experiment: Experiment) -> str:
-    """The command line of an experiment."""
-    settings = "".join(f" --set {key}={value:g}" for key, value in experiment.settings.items())
-    return f"equimus-ctrl run {experiment.scenario}{settings}"
-
-
-def separating(experiment: Experiment) -> str:
-    """What an experiment would do."""
-    first, second = (short(named) for named in experiment.separates)
-    return (
-        f"An experiment would distinguish {first} from {second}: in the one below their predictions differ by "
-        f"{number(experiment.distance)} times the noise (RMS), after refitting each to the other."
-    )
-
-
 def smallest(detectable: Detectable) -> str:
     """The smallest detectable size of an effect."""
     if not math.isfinite(detectable.size):
@@ -396,8 +381,14 @@ def trials(diagnosis: Diagnosis) -> str:
     )
 
 
-def print_diagnosis(console: Console, diagnosis: Diagnosis) -> None:
-    """A diagnosis for a terminal."""
+def print_diagnosis(console: Console, diagnosis: Diagnosis, command_line: str = "") -> None:
+    """A diagnosis for a terminal.
+
+    Args:
+        console: where people read.
+        diagnosis: what was found.
+        command_line: with which it was made, "" where there was none.
+    """
     from rich.padding import Padding
     from rich.text import Text
 
@@ -450,11 +441,11 @@ def print_diagnosis(console: Console, diagnosis: Diagnosis) -> None:
     listing("Unexplained residuals", remains(diagnosis))
     listing("Rejected effects, with the reason (and the stage)", rejected(diagnosis))
     listing("Not distinguishable from these recordings", not_distinguishable(diagnosis))
-    if diagnosis.experiment is not None:
-        say(separating(diagnosis.experiment))
-        console.print(f"  {command(diagnosis.experiment)}", markup=False, soft_wrap=True, highlight=False)
     sizes = [f"{who}: {values}" for who, values in detectables(diagnosis)]
     more = [f"and {len(sizes) - MOST_DETECTABLE} more"] if len(sizes) > MOST_DETECTABLE else []
     listing("Smallest detectable sizes", [*sizes[:MOST_DETECTABLE], *more])
+    if experiment := deciding(diagnosis, command_line):
+        say(experiment[0])
+        console.print(f"  {experiment[1]}", markup=False, soft_wrap=True, highlight=False)
     for note in diagnosis.notes:
         say(note, style="yellow")

@@ -137,10 +137,15 @@ def save_all(drawings: Drawings, folder: Path) -> list[Path]:
     return [save(figure, folder / f"{name}.png") for name, figure in drawn(drawings).items()]
 
 
-def save(figure: Figure, path: Path) -> Path:
-    """Write a figure as PNG, whole or not at all; the same figure gives the same bytes."""
+def png(figure: Figure) -> bytes:
+    """A figure as PNG; the same figure gives the same bytes."""
     canvas = FigureCanvasAgg(figure)
     buffer = io.BytesIO()
     canvas.print_png(buffer, metadata={"Software": None})  # type: ignore[no-untyped-call]
-    write_bytes(path, buffer.getvalue())
+    return buffer.getvalue()
+
+
+def save(figure: Figure, path: Path) -> Path:
+    """Write a figure as PNG, whole or not at all."""
+    write_bytes(path, png(figure))
     return path

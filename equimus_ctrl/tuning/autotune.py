@@ -18,7 +18,7 @@ from equimus_ctrl.controllers.pid import PidController
 from equimus_ctrl.controllers.pid_settings import PidSettings
 from equimus_ctrl.effects.valves import valve_effects
 from equimus_ctrl.engines.lane_functions import LANES
-from equimus_ctrl.errors import EquimusError
+from equimus_ctrl.errors import NothingFeasible
 from equimus_ctrl.executors.base import Executor, Prepare
 from equimus_ctrl.executors.where import Where
 from equimus_ctrl.loop import run
@@ -39,10 +39,6 @@ HERE = Where()
 """This computer."""
 UNSEEN = 1_000_003
 """Beyond the study's seed, of robots that take no part in the tuning."""
-
-
-class NothingFeasible(EquimusError):
-    """No set of gains within the limits was found."""
 
 
 def make_problem(study: Study, model: Model, scenarios: Sequence[Scenario]) -> Problem:

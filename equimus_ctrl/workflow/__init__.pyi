@@ -3,6 +3,12 @@
 from .checks import Check as Check, check as check
 from .comparisons import compare as compare
 from .diagnoses import diagnose as diagnose
+from .experiment_runs import ExperimentRun as ExperimentRun, run_experiments as run_experiments
+from .experiments import (
+    DesignFiles as DesignFiles,
+    design_experiment as design_experiment,
+    write_design as write_design,
+)
 from .exports import (
     Export as Export,
     Written as Written,

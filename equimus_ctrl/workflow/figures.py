@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from equimus_ctrl.diagnosis.results import Diagnosis
 from equimus_ctrl.errors import ConfigError, unknown_name
+from equimus_ctrl.experiments.results import Designed
 from equimus_ctrl.identification.results import Identification, Identified, IdentifiedPoses
 from equimus_ctrl.identification.sensitivity import Sensitivity
 from equimus_ctrl.preflight.result import CheckResult
@@ -26,8 +27,8 @@ def figures(found: Any) -> dict[str, Figure]:
     """Name → figure of all that there is to see of what a verb found.
 
     Args:
-        found: by ``check``, ``compare``, ``diagnose``, ``identify``, ``prove``, ``run_scenario``, ``sensitivity``,
-            ``tune`` or ``validate``.
+        found: by ``check``, ``compare``, ``design_experiment``, ``diagnose``, ``identify``, ``prove``,
+            ``run_scenario``, ``sensitivity``, ``tune`` or ``validate``.
 
     Raises:
         ConfigError: for anything else.
@@ -77,6 +78,13 @@ def _(found: Comparison) -> style.Drawings:
     from equimus_ctrl.report.comparison import comparison_drawings
 
     return comparison_drawings(found)
+
+
+@drawings.register
+def _(found: Designed) -> style.Drawings:
+    from equimus_ctrl.report.experiment_figures import design_drawings
+
+    return design_drawings(found)
 
 
 @drawings.register

@@ -1,0 +1,301 @@
+"""Experiments one after the other: explanations after each trial, which is worth making, and when there is an end.
+
+A diagnosis of all trials so far leaves explanations (``rivals``). A trial that distinguishes them is designed and made,
+and all trials are diagnosed again. What a diagnosis no longer leaves is fitted to the same trials once more: that shows
+by how much the trial spoke against it, and whether that is what was predicted.
+
+Designed trials are fitted, all of them: the search decides between explanations by what is fitted. Held out are those
+of the recordings from before that a diagnosis of these alone would hold out.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+from typing import Any, Literal
+
+from equimus_ctrl.diagnosis.fitting import Data
+from equimus_ctrl.diagnosis.holdout import Holdout, choose_holdout
+from equimus_ctrl.diagnosis.policy import SearchPolicy
+from equimus_ctrl.diagnosis.results import Diagnosis
+from equimus_ctrl.diagnosis.rivals import Rival, Rivals
+from equimus_ctrl.errors import SimulationDiverged
+from equimus_ctrl.experiments.power import LIKELY, Power
+from equimus_ctrl.identification.parameters import unit_of
+from equimus_ctrl.shown import counted
+
+STEPS = 20
+"""Of the fit of an explanation that is no longer left, from where it was before the trial."""
+End = Literal["resolved", "inseparable", "trials", "seconds"]
+"""Why there is no further trial: one explanation is left, nothing more can be distinguished within the limits, or the
+budget of trials or of seconds is spent."""
+
+
+@dataclass(frozen=True)
+class Explanation:
+    """What is said of an explanation after a diagnosis.
+
+    Attributes:
+        label: its effects and their places; with their sizes where these are given rather than estimated.
+        behind: by how much its score, −2 ln L and Schwarz's cost of its parameters, is above that of the first.
+        left: whether the diagnosis leaves it.
+        accepted: whether it was taken for possible; else it is the nearest that there is to what has no name.
+    """
+
+    label: str
+    behind: float
+    left: bool
+    accepted: bool
+
+
+@dataclass(frozen=True)
+class Belief:
+    """The explanations after a diagnosis, and by how much each is behind the first.
+
+    Attributes:
+        verdict: of the diagnosis.
+        explanations: the one that it names first, the others that it leaves, and those that it no longer leaves.
+    """
+
+    verdict: str
+    explanations: tuple[Explanation, ...]
+
+    @property
+    def left(self) -> tuple[Explanation, ...]:
+        """Those that the diagnosis leaves."""
+        return tuple(own for own in self.explanations if own.left)
+
+    def __str__(self) -> str:
+        first, *others = self.left
+        told = f"{self.verdict}: {first.label}"
+        if others:
+            told += "; not distinguished from " + ", ".join(f"{own.label} ({own.behind:+.3g})" for own in others)
+        if gone := [own for own in self.explanations if not own.left]:
+            told += "; no longer left: " + ", ".join(f"{own.label} ({own.behind:+.3g})" for own in gone)
+        return told
+
+    def to_dict(self) -> dict[str, Any]:
+        """As JSON data."""
+        told = [{**asdict(own), "behind": _finite(own.behind)} for own in self.explanations]
+        return {"verdict": self.verdict, "explanations": told}
+
+    @classmethod
+    def from_dict(cls, data: Mapping[str, Any]) -> Belief:
+        """What ``to_dict`` wrote down."""
+        told = [{**own, "behind": _or_infinite(own["behind"])} for own in data["explanations"]]
+        return cls(data["verdict"], tuple(Explanation(**own) for own in told))
+
+
+def label_of(rival: Rival) -> str:
+    """The label of an explanation; where an effect's size is given, with that, for one of another size is another."""
+    if not rival.effects or rival.n_effect_parameters:
+        return rival.label
+    model, sizes = rival.model, list[str]()
+    for effect, prefix in zip(model.effects, model.effect_prefixes(), strict=True):
+        key = next(iter(effect.parameter_info()))
+        unit = unit_of(model, prefix + key)
+        size = f"{key} {getattr(effect, key):.3g}" + (f" {unit}" if unit != "1" else "")
+        if size not in sizes:
+            sizes.append(size)
+    return f"{rival.label} ({', '.join(sizes)})"
+
+
+def again(rival: Rival, diagnosis: Diagnosis) -> Rival:
+    """An explanation fitted to what a diagnosis fitted, from where it was; its noise estimated along.
+
+    Raises:
+        SimulationDiverged: where it cannot follow these trials at all.
+    """
+    best = diagnosis.best
+    simulator = best.fit.problem.simulator
+    policy = SearchPolicy.of(diagnosis.model.robot.traits, simulator.engine)
+    data = Data(rival.parameters, diagnosis.train, simulator, policy=policy)
+    begin = (rival.theta, [segment.start for segment in diagnosis.train])
+    found = data.converge(data.coarse_fit((), [begin], best.noise, STEPS))
+    return replace(rival, theta=found.fit.theta, deviance=found.deviance, noise=found.noise)
+
+
+def no_longer_left(before: Rivals | None, diagnosis: Diagnosis, now: Rivals) -> tuple[Rival, ...]:
+    """The explanations from before a trial that a diagnosis with it does not leave, fitted to what it fitted.
+
+    Args:
+        before: that were left; None where there was no diagnosis.
+        diagnosis: with the trial.
+        now: that it leaves.
+    """
+    if before is None:
+        return ()
+    labels, found = {label_of(rival) for rival in now.rivals}, list[Rival]()
+    for rival in before.rivals:
+        if label_of(rival) in labels:
+            continue
+        try:
+            found.append(again(rival, diagnosis))
+        except SimulationDiverged:  # nothing could speak against it more
+            found.append(replace(rival, deviance=math.inf))
+    return tuple(found)
+
+
+def belief_of(now: Rivals, gone: Sequence[Rival] = ()) -> Belief:
+    """The explanations after a diagnosis, the one that it names first.
+
+    Args:
+        now: that a diagnosis leaves.
+        gone: that it no longer does, see ``no_longer_left``.
+    """
+    first = now.rivals[0].score(now.n)
+
+    def told(rival: Rival, left: bool) -> Explanation:
+        return Explanation(label_of(rival), rival.score(now.n) - first, left, rival.accepted)
+
+    return Belief(now.verdict, (*(told(r, True) for r in now.rivals), *(told(r, False) for r in gone)))
+
+
+@dataclass(frozen=True)
+class Predicted:
+    """What is predicted of a trial for a pair of explanations, see ``power.Power``.
+
+    Attributes:
+        true: the explanation that is taken for the truth.
+        other: the one that it is to be distinguished from.
+        gap: by how much −2Δln L moves in favour of the first, without noise.
+        low: of the interval, noise and parameters in mind.
+        high: of it.
+        chance: that one trial settles the pair.
+        repeats: of the trial that are likely to; inf where no number is.
+    """
+
+    true: str
+    other: str
+    gap: float
+    low: float
+    high: float
+    chance: float
+    repeats: float
+
+    @classmethod
+    def of(cls, rivals: Rivals, powers: Sequence[Power]) -> tuple[Predicted, ...]:
+        """Of the power of a trial for pairs of rivals."""
+        labels = [label_of(rival) for rival in rivals.rivals]
+        return tuple(
+            cls(labels[own.first], labels[own.second], own.gap, *own.interval, own.chance, own.repeats)
+            for own in powers
+        )
+
+    def to_dict(self) -> dict[str, Any]:
+        """As JSON data; null where no number of repeats would do."""
+        return {**asdict(self), "repeats": _finite(self.repeats)}
+
+    @classmethod
+    def from_dict(cls, data: Mapping[str, Any]) -> Predicted:
+        """What ``to_dict`` wrote down."""
+        return cls(**{**data, "repeats": _or_infinite(data["repeats"])})
+
+
+@dataclass(frozen=True)
+class Realised:
+    """What became of a prediction.
+
+    Attributes:
+        predicted: it; what it takes for the truth is what the diagnosis with the trial names first.
+        gap: by how much −2Δln L has moved in favour of that.
+        settled: whether the diagnosis no longer leaves the other.
+    """
+
+    predicted: Predicted
+    gap: float
+    settled: bool
+
+    def to_dict(self) -> dict[str, Any]:
+        """As JSON data; null for a gap without end, of an explanation that cannot follow the trial at all."""
+        return {"predicted": self.predicted.to_dict(), "gap": _finite(self.gap), "settled": self.settled}
+
+    @classmethod
+    def from_dict(cls, data: Mapping[str, Any]) -> Realised:
+        """What ``to_dict`` wrote down."""
+        return cls(Predicted.from_dict(data["predicted"]), _or_infinite(data["gap"]), data["settled"])
+
+
+def realised(
+    before: Rivals, predicted: Sequence[Predicted], now: Rivals, gone: Sequence[Rival] = ()
+) -> tuple[Realised, ...]:
+    """What became of the predictions of those pairs whose first is what is named now.
+
+    Args:
+        before: rivals that the trial was designed for.
+        predicted: of their pairs.
+        now: that the diagnosis with the trial leaves.
+        gone: that it no longer does.
+    """
+    was = {label_of(rival): rival.deviance for rival in before.rivals}
+    after = {label_of(rival): rival.deviance for rival in (*gone, *now.rivals)}
+    named, left = label_of(now.rivals[0]), {label_of(rival) for rival in now.rivals}
+    return tuple(
+        Realised(own, (after[own.other] - after[own.true]) - (was[own.other] - was[own.true]), own.other not in left)
+        for own in predicted
+        if own.true == named and own.other in after
+    )
+
+
+def held_out(given: Sequence[str], patterns: Sequence[str] = ()) -> Holdout | None:
+    """What is held out of recordings from before and designed trials, which come after them.
+
+    Args:
+        given: names of the recordings from before, or of the first trial where there were none.
+        patterns: of names of trials that somebody wants held out; then it is for them alone to say.
+    """
+    return None if patterns else choose_holdout(given)
+
+
+def worth_making(predicted: Sequence[Predicted], left: int) -> bool:
+    """Whether a trial may settle a pair: not where it is likely that it settles none, nor so many of its kind.
+
+    Args:
+        predicted: of the trial.
+        left: how many trials there may yet be.
+    """
+    return any(own.repeats <= left or own.chance > 1 - LIKELY for own in predicted)
+
+
+def why(predicted: Sequence[Predicted]) -> str:
+    """Why a trial was chosen, as a clause: the pair that it is surest to settle, and how many others.
+
+    Args:
+        predicted: of the trial, one or more.
+    """
+    best = max(predicted, key=lambda own: (own.chance, own.gap))
+    told = (
+        f"it distinguishes {best.true} from {best.other} by an expected gap of {best.gap:.3g} ({best.low:.3g} to "
+        f"{best.high:.3g}) in −2Δln L, with a chance of {best.chance:.0%}"
+    )
+    if math.isfinite(best.repeats) and best.repeats > 1:
+        told += f"; {best.repeats:g} such trials would be likely to"
+    if more := sum(own.chance >= 0.5 for own in predicted if own is not best):
+        told += f"; of {counted(len(predicted) - 1, 'other pair')} {more} more likely than not"
+    return told
+
+
+def why_not(predicted: Sequence[Predicted]) -> str:
+    """Why none was made, as a sentence.
+
+    Args:
+        predicted: of the best trial that was found.
+    """
+    told = "within the limits and the budget nothing more can be distinguished"
+    if not predicted:
+        return told
+    best = min(predicted, key=lambda own: (own.repeats, -own.chance, -own.gap))
+    often = f"{best.repeats:g} of them would be needed" if math.isfinite(best.repeats) else "no number of them would do"
+    return (
+        f"{told}: the best trial that was found distinguishes {best.true} from {best.other} with a chance of "
+        f"{best.chance:.0%}, and {often}"
+    )
+
+
+def _finite(value: float) -> float | None:
+    return value if math.isfinite(value) else None
+
+
+def _or_infinite(value: float | None) -> float:
+    return math.inf if value is None else value

@@ -1,0 +1,137 @@
+"""Explanations after a trial, which trial is worth making, and how predictions are set beside what became of them."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from rival_legs import of_a_pendulum, rivals_of, with_other
+
+from equimus_ctrl.diagnosis.holdout import Holdout
+from equimus_ctrl.diagnosis.results import Diagnosis
+from equimus_ctrl.diagnosis.rivals import NOTHING, rival_of
+from equimus_ctrl.experiments.loop import (
+    Belief,
+    Predicted,
+    Realised,
+    again,
+    belief_of,
+    held_out,
+    label_of,
+    no_longer_left,
+    realised,
+    why,
+    why_not,
+    worth_making,
+)
+from equimus_ctrl.experiments.power import Power
+from equimus_ctrl.models.model import Model
+from equimus_ctrl.presets import plain
+
+
+def predicted(chance: float = 0.9, repeats: float = 1.0, gap: float = 50.0, other: str = "b") -> Predicted:
+    return Predicted("a", other, gap, 30.0, 80.0, chance, repeats)
+
+
+def test_beliefs_are_by_how_much_each_is_behind_the_first() -> None:
+    now = of_a_pendulum()
+    gone = replace(now.rivals[1], effects=(), deviance=math.inf)
+    belief = belief_of(now, [gone])
+    first, second, last = belief.explanations
+    assert first.behind == 0.0 and first.left and first.label == now.rivals[0].label
+    # Both have one parameter of their own, so that what it costs is the same.
+    assert second.behind == pytest.approx(now.rivals[1].deviance - now.rivals[0].deviance)
+    assert last.label == NOTHING and not last.left and math.isinf(last.behind)
+    assert belief.left == (first, second)
+    assert Belief.from_dict(json.loads(json.dumps(plain(belief.to_dict())))) == belief
+    assert "not distinguished from viscous_friction" in str(belief) and f"; no longer left: {NOTHING}" in str(belief)
+
+
+def test_an_effect_of_known_size_is_another_one_at_another_size() -> None:
+    rival = of_a_pendulum().rivals[0]
+    assert label_of(rival) == rival.label
+    free = tuple(f for f in rival.parameters.free if f.name == "arm.mass")
+    (effect,) = rival.model.effects
+    sizes = []
+    for size in (0.1, 0.2):
+        model = Model(rival.model.robot, (replace(effect, friction=size),))
+        own = replace(rival, parameters=replace(rival.parameters, model=model, free=free), theta=rival.theta[:1])
+        sizes.append(label_of(own))
+    assert sizes == [f"{rival.label} (friction 0.1 N·m)", f"{rival.label} (friction 0.2 N·m)"]
+
+
+def test_what_is_fitted_again_to_the_same_trials_stays_where_it_was(diagnosis: Diagnosis) -> None:
+    before = rival_of(diagnosis.base, diagnosis.best.noise)
+    once = again(before, diagnosis)
+    assert once.deviance < before.deviance  # that one was made in few steps
+    twice = again(once, diagnosis)
+    assert twice.deviance == pytest.approx(once.deviance, abs=1.0)
+    assert twice.theta == pytest.approx(once.theta, rel=0.02)
+
+
+def test_what_a_diagnosis_no_longer_leaves_is_fitted_to_its_trials(diagnosis: Diagnosis) -> None:
+    before, now = rivals_of(diagnosis), diagnosis.rivals
+    (gone,) = no_longer_left(before, diagnosis, now)
+    assert gone.label == NOTHING and gone.deviance > now.rivals[0].deviance + 100
+    assert no_longer_left(before, with_other(diagnosis), before) == ()
+    assert no_longer_left(None, diagnosis, now) == ()
+
+
+def test_a_gap_is_realised_by_what_the_trial_added() -> None:
+    before = of_a_pendulum()
+    first, second = before.rivals
+    pairs = (
+        Predicted(first.label, second.label, 40.0, 20.0, 60.0, 0.9, 1.0),
+        Predicted(second.label, first.label, 30.0, 10.0, 50.0, 0.8, 1.0),
+    )
+    grown = replace(first, deviance=first.deviance - 800.0), replace(second, deviance=second.deviance - 765.0)
+    (found,) = realised(before, pairs, replace(before, rivals=grown[:1]), grown[1:])
+    assert found == Realised(pairs[0], pytest.approx(35.0), True)
+    assert Realised.from_dict(json.loads(json.dumps(found.to_dict()))) == found
+    (still,) = realised(before, pairs, replace(before, rivals=grown[::-1]))
+    assert still.predicted == pairs[1] and still.gap == pytest.approx(-35.0) and not still.settled
+
+
+@pytest.mark.parametrize(
+    ("own", "left", "worth"),
+    [
+        (predicted(), 1, True),
+        (predicted(chance=0.2, repeats=4.0), 1, True),  # by luck
+        (predicted(chance=0.01, repeats=4.0), 4, True),
+        (predicted(chance=0.01, repeats=4.0), 3, False),
+        (predicted(chance=0.0, repeats=math.inf), 99, False),
+    ],
+)
+def test_a_trial_is_worth_making_that_may_settle_something(own: Predicted, left: int, worth: bool) -> None:
+    assert worth_making([own], left) is worth
+    assert worth_making([predicted(chance=0.0, repeats=math.inf), own], left) is worth
+
+
+def test_nothing_to_tell_apart_is_worth_no_trial() -> None:
+    assert not worth_making([], 9)
+    assert why_not(()) == "within the limits and the budget nothing more can be distinguished"
+
+
+def test_reasons_name_the_pair_that_is_surest() -> None:
+    pairs = [predicted(chance=0.6, other="c"), predicted(repeats=2.0), predicted(chance=0.1, other="d")]
+    said = why(pairs)
+    assert said.startswith("it distinguishes a from b by an expected gap of 50 (30 to 80)") and "chance of 90%" in said
+    assert "2 such trials" in said and "of 2 other pairs 1 more likely than not" in said
+    assert "60 of them would be needed" in why_not([predicted(chance=0.01, repeats=60.0)])
+    assert Predicted.from_dict(json.loads(json.dumps(predicted(repeats=math.inf).to_dict()))).repeats == math.inf
+
+
+def test_designed_trials_are_fitted_all_of_them() -> None:
+    assert held_out(["poor"]) == Holdout(ends=frozenset({0}))
+    assert held_out(["poor_0", "poor_1"]) == Holdout(validation=frozenset({1}))
+    assert held_out(["poor_0"], ["poor_*"]) is None
+
+
+def test_predictions_are_of_the_labels_of_rivals() -> None:
+    rivals = of_a_pendulum()
+    (found,) = Predicted.of(rivals, [Power(1, 0, np.array([100.0]), 0.0, 10.0, 0.99, 1.0)])
+    assert (found.true, found.other) == (rivals.rivals[1].label, rivals.rivals[0].label)
+    assert found.gap == 100.0 and found.low < 100.0 < found.high
