@@ -127,7 +127,8 @@ def test_rivals_that_are_as_free_as_each_other_share_derivatives(diagnosis: Diag
     rivals = rivals_of(diagnosis)
     nothing = rivals.rivals[1]
     rub = part_of("coulomb_friction", ("knee",), {"friction": 1e-4}).effects
-    rubbing = nothing.changed(lambda model: replace(model, effects=rub))
+    model = replace(nothing.parameters.model, effects=rub)
+    rubbing = replace(nothing, parameters=replace(nothing.parameters, model=model))
     (shared,) = separations(replace(rivals, rivals=(nothing, rubbing)), [steps()])
     assert shared.places[0] == shared.places[1]
     apart = replace(rubbing, information=rubbing.information * (1 + 1e-9))
