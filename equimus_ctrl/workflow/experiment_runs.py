@@ -279,8 +279,7 @@ class _Bench:
         else:
             found = design_experiment(before, options=replace(self.options, seed=seed), progress=progress)
             commands, linear = found.commands, before.linear
-            open_pairs = [own for pair in found.pairs if pair.ending != "settled" for own in pair.powers]
-            pairs = Predicted.of(before, open_pairs)
+            pairs = Predicted.of(before, found.pairs)
             record = found.to_dict()
             trial, reason = f"{NAMED}{number:02d}", why(pairs) if pairs else "the recordings have settled all pairs"
         record["seconds"] = time.perf_counter() - begun
