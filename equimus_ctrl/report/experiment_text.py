@@ -45,8 +45,8 @@ def pair_sentence(found: Designed, pair: Pair) -> str:
     if pair.ending == "inseparable":
         return (
             f"{first} or {second}: not distinguishable within the limits. None of "
-            f"{counted(found.evaluations, 'design')} settles this with {percent(LIKELY)}, nor would {MOST_REPEATS} repeats; "
-            f"one does with {percent(power.chance)} (expected gap {gap_text(power)})."
+            f"{counted(found.evaluations, 'design')} settles this with {percent(LIKELY)}, nor would {MOST_REPEATS} "
+            f"repeats; one does with {percent(power.chance)} (expected gap {gap_text(power)})."
         )
     if pair.ending == "another trial":
         return (
