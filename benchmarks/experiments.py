@@ -250,8 +250,7 @@ def added(setup: Setup, case: int, arm: str, begun: dict[str, Any]) -> list[dict
                             break
                         own = designed(rivals, setup.limits, seed=k, evaluations=setup.evaluations, draws=DRAWS,
                                        simulator=rivals.simulator(1))  # fmt: skip
-                        both = [power for pair in own.pairs if pair.ending != "settled" for power in pair.powers]
-                        predicted, commands = Predicted.of(rivals, both), own.commands
+                        predicted, commands = Predicted.of(rivals, own.pairs), own.commands
                         if not worth_making(predicted, setup.trials - k + 1):
                             break
                     else:

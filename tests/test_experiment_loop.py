@@ -28,6 +28,7 @@ from equimus_ctrl.experiments.loop import (
     worth_making,
 )
 from equimus_ctrl.experiments.power import Power
+from equimus_ctrl.experiments.results import Pair
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.presets import plain
 
@@ -132,6 +133,14 @@ def test_designed_trials_are_fitted_all_of_them() -> None:
 
 def test_predictions_are_of_the_labels_of_rivals() -> None:
     rivals = of_a_pendulum()
-    (found,) = Predicted.of(rivals, [Power(1, 0, np.array([100.0]), 0.0, 10.0, 0.99, 1.0)])
-    assert (found.true, found.other) == (rivals.rivals[1].label, rivals.rivals[0].label)
-    assert found.gap == 100.0 and found.low < 100.0 < found.high
+    both = (power(0, 1), power(1, 0))
+    first, second = Predicted.of(rivals, [Pair(both, "settled"), Pair(both, "one trial")])
+    assert (first.true, first.other) == (rivals.rivals[0].label, rivals.rivals[1].label)
+    assert (second.true, second.other) == (first.other, first.true)
+    assert first.gap == 100.0 and first.low < 100.0 < first.high and first.separable
+    hopeless = Predicted.of(rivals, [Pair(both, "inseparable")])
+    assert not any(own.separable for own in hopeless) and not worth_making(hopeless, 9)
+
+
+def power(first: int, second: int) -> Power:
+    return Power(first, second, np.array([100.0]), 0.0, 10.0, 0.99, 1.0)

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from equimus_ctrl.cli.progress import ShowStage
-    from equimus_ctrl.workflow.experiment_runs import ExperimentRun
+    from equimus_ctrl.workflow.experiment_steps import ExperimentRun
 
 
 @with_options

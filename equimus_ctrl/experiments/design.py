@@ -111,9 +111,8 @@ def designed(
         asked = evaluations or (COSTLY_EVALUATIONS if costly else EVALUATIONS)
         timed_out = search(arms, asked, over, lambda share: progress("search", share))
         final = _Final.of(rivals, draws, seed)
-        designs = sorted(((arm, own) for arm in arms for own in arm.best), key=lambda pair: -pair[1].value)
-        most = CANDIDATES if simulator.engine.costly else len(designs)
-        kept = final.kept([(arm, own.point) for arm, own in designs[:most]], progress)
+        designs = [(arm, point) for arm in sorted(arms, key=lambda arm: -arm.value) for point in arm.candidates]
+        kept = final.kept(designs[: CANDIDATES if simulator.engine.costly else None], progress)
         if not kept:
             raise NothingFeasible(_why_nothing(arms))
         chosen = _best(kept, 0 if simulator.engine.costly else FEW_DRAWS, seed, over, progress)
@@ -124,7 +123,7 @@ def designed(
         found = powers(rivals, chosen.commands, rng, draws=count, pairs=wanted, simulator=simulator)
         pairs, others = [], dict[tuple[int, int], Commands]()
         for both in _both_ways(found):
-            own, other = _ending(rivals, both, final, arms, count)
+            own, other = _ending(rivals, both, final, arms, min(count, LEAST_DRAWS))
             pairs.append(own)
             if other is not None:
                 others[own.places] = other
@@ -147,7 +146,8 @@ def designed(
         excess=chosen.excess,
         draws=draws,
         tried=tuple(
-            TriedFamily(a.family.name, a.ground.condition.text, a.spent, a.value if a.best else None) for a in arms
+            TriedFamily(a.family.name, a.ground.condition.text, a.spent, None if a.best is None else a.value)
+            for a in arms
         ),
         refused=refused,
         seed=seed,

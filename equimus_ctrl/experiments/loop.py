@@ -21,7 +21,8 @@ from equimus_ctrl.diagnosis.policy import SearchPolicy
 from equimus_ctrl.diagnosis.results import Diagnosis
 from equimus_ctrl.diagnosis.rivals import Rival, Rivals
 from equimus_ctrl.errors import SimulationDiverged
-from equimus_ctrl.experiments.power import LIKELY, Power
+from equimus_ctrl.experiments.power import LIKELY
+from equimus_ctrl.experiments.results import Pair
 from equimus_ctrl.identification.parameters import unit_of
 from equimus_ctrl.shown import counted
 
@@ -164,6 +165,7 @@ class Predicted:
         high: of it.
         chance: that one trial settles the pair.
         repeats: of the trial that are likely to; inf where no number is.
+        separable: whether any trial that the search tried, or repeats of it, is likely to settle the pair.
     """
 
     true: str
@@ -173,15 +175,21 @@ class Predicted:
     high: float
     chance: float
     repeats: float
+    separable: bool = True
 
     @classmethod
-    def of(cls, rivals: Rivals, powers: Sequence[Power]) -> tuple[Predicted, ...]:
-        """Of the power of a trial for pairs of rivals."""
+    def of(cls, rivals: Rivals, pairs: Sequence[Pair]) -> tuple[Predicted, ...]:
+        """Of the pairs of a design that the recordings so far have not settled, both ways round."""
         labels = [label_of(rival) for rival in rivals.rivals]
         return tuple(
-            cls(labels[own.first], labels[own.second], own.gap, *own.interval, own.chance, own.repeats)
-            for own in powers
-        )
+            cls(
+                labels[own.first], labels[own.second], own.gap, *own.interval, own.chance, own.repeats,
+                pair.ending != "inseparable",
+            )
+            for pair in pairs
+            if pair.ending != "settled"
+            for own in pair.powers
+        )  # fmt: skip
 
     def to_dict(self) -> dict[str, Any]:
         """As JSON data; null where no number of repeats would do."""
@@ -251,11 +259,13 @@ def held_out(given: Sequence[str], patterns: Sequence[str] = ()) -> Holdout | No
 def worth_making(predicted: Sequence[Predicted], left: int) -> bool:
     """Whether a trial may settle a pair: not where it is likely that it settles none, nor so many of its kind.
 
+    Nor where no trial that was tried separates any, though an unlikely draw of the parameters might.
+
     Args:
         predicted: of the trial.
         left: how many trials there may yet be.
     """
-    return any(own.repeats <= left or own.chance > 1 - LIKELY for own in predicted)
+    return any(own.separable and (own.repeats <= left or own.chance > 1 - LIKELY) for own in predicted)
 
 
 def why(predicted: Sequence[Predicted]) -> str:

@@ -31,8 +31,8 @@ SIGMA = 0.3
 """Standard deviation with which CMA-ES begins."""
 FARTHEST = 1e3
 """What leaves the limits by more than so many ranges counts as this much."""
-KEPT = 2
-"""Best designs of each family that are looked at more closely."""
+ALIKE = 0.05
+"""Designs whose divergences differ by less are alike."""
 EXAMPLES = 2
 """Trials by which the directions are found along which free numbers count, where simulations take long."""
 
@@ -61,7 +61,9 @@ class Arm:
     Attributes:
         ground: the condition, with the rivals at rest.
         family: of commands.
-        best: the best designs within the limits, best first, at most ``KEPT``.
+        best: the best design within the limits; None where there is none.
+        points: (k, 1 + d) of all designs within the limits, in order, and ``values`` of each.
+        values: see above.
         nearest: pair → the design in which its distance is largest of all that were tried.
         largest: of the first designs the one with the largest amplitude within the limits; None where none is.
         spent: evaluations.
@@ -69,7 +71,9 @@ class Arm:
 
     def __init__(self, ground: Ground, family: Family, seed: int, crowd: Crowd) -> None:
         self.ground, self.family, self.crowd = ground, family, crowd
-        self.best: list[Tried] = []
+        self.best: Tried | None = None
+        self.points: list[Array] = []
+        self.values: list[float] = []
         self.largest: Array | None = None
         self.nearest: dict[tuple[int, int], Tried] = {}
         self.spent = 0
@@ -80,7 +84,21 @@ class Arm:
     @property
     def value(self) -> float:
         """Of the best; −inf where there is none."""
-        return self.best[0].value if self.best else -math.inf
+        return -math.inf if self.best is None else self.best.value
+
+    @property
+    def candidates(self) -> list[Array]:
+        """Points that are worth a closer look: the best, and of all that are as good but for a little the smallest.
+
+        Where all pairs are settled to first order, that says little of large motions: there refits find what
+        linearising does not, and what they leave is taken for noise.
+        """
+        if self.best is None:
+            return []
+        alike = [p for p, value in zip(self.points, self.values, strict=True) if value > self.best.value - ALIKE]
+        span = [float(np.abs(self.commands(p).commands - self.ground.rest).max(axis=0).sum()) for p in alike]
+        smallest = alike[int(np.argmin(span))]
+        return [self.best.point] if smallest is self.best.point else [self.best.point, smallest]
 
     def commands(self, point: Array) -> Commands:
         """Of a point."""
@@ -118,7 +136,10 @@ class Arm:
         return costs
 
     def _note(self, own: Tried) -> None:
-        self.best = sorted([*self.best, own], key=lambda one: -one.value)[:KEPT]
+        self.points.append(own.point)
+        self.values.append(own.value)
+        if own.value > self.value:
+            self.best = own
         for pair in self.ground.rivals.pairs:
             best = self.nearest.get(pair)
             if best is None or own.separation.distance(*pair) > best.separation.distance(*pair):
@@ -164,6 +185,6 @@ def search(
                 if over():
                     return True
         left = sorted(left, key=lambda arm: -arm.value)[: max(math.ceil(len(left) / 2), 1)]
-        if k and not any(arm.best for arm in left):
+        if k and all(arm.best is None for arm in left):
             break
     return False

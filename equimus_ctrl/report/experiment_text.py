@@ -45,8 +45,8 @@ def pair_sentence(found: Designed, pair: Pair) -> str:
     if pair.ending == "inseparable":
         return (
             f"{first} or {second}: not distinguishable within the limits. None of "
-            f"{counted(found.evaluations, 'design')} would settle this, nor would {MOST_REPEATS} repeats (expected gap "
-            f"{gap_text(power)})."
+            f"{counted(found.evaluations, 'design')} settles this with {percent(LIKELY)}, nor would {MOST_REPEATS} "
+            f"repeats; one does with {percent(power.chance)} (expected gap {gap_text(power)})."
         )
     if pair.ending == "another trial":
         return (
@@ -85,7 +85,8 @@ def helpful(found: Designed, pair: Pair) -> list[Remedy]:
     needed = power.needed - power.ahead
     best: dict[str, Remedy] = {}
     for own in found.remedies.get(pair.places, ()):
-        if own.gap > needed and own.gap > 2 * own.without:
+        # What is to first order says nothing where it finds a gap that refitting does not.
+        if own.gap > needed > own.without:
             best.setdefault(own.name.partition(".")[0] if own.kind == "sensor" else own.kind, own)
     return list(best.values())[:TOLD_REMEDIES]
 

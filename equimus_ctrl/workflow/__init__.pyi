@@ -3,7 +3,8 @@
 from .checks import Check as Check, check as check
 from .comparisons import compare as compare
 from .diagnoses import diagnose as diagnose
-from .experiment_runs import ExperimentRun as ExperimentRun, run_experiments as run_experiments
+from .experiment_runs import run_experiments as run_experiments
+from .experiment_steps import ExperimentRun as ExperimentRun
 from .experiments import (
     DesignFiles as DesignFiles,
     design_experiment as design_experiment,
