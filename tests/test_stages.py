@@ -53,7 +53,7 @@ def inputs(split: Split, told: list[tuple[str, float]] | None = None) -> Diagnos
         (told if told is not None else []).append((stage, share))
 
     data = Data(nothing, split.train, nothing)
-    return DiagnosisInputs(data, split, DiagnosisSettings(), tuple, progress, 0.0, nothing)
+    return DiagnosisInputs(data, split, DiagnosisSettings(), progress, 0.0, nothing)
 
 
 def state_of(end: SearchState, split: Split | None = None, search: Any = None, **known: Any) -> State:
