@@ -247,6 +247,7 @@ def test_gains_of_ones_own_are_of_joints_and_need_not_be_decoupled() -> None:
     assert "has no elastic actuators" in refusal(lambda: PidController(lengths).init(spec, first))
 
 
+@pytest.mark.slow
 def test_placed_gains_are_slower_where_drives_are_late() -> None:
     found = []
     for delay in (0.0, 0.05, 0.15):
@@ -286,6 +287,7 @@ def test_a_step_hardly_overshoots_however_much_a_joint_is_damped(joint: str, dri
     np.testing.assert_allclose(done.score.step.offset, 0.0, atol=1e-4)
 
 
+@pytest.mark.slow
 def test_a_delay_that_nobody_told_of_is_borne() -> None:
     robot = MjcfRobot("limited", HINGES.xml.replace("<motor", '<motor ctrlrange="-60 60"'))
     found = workflow.compare(["step"], ["pid"], under=["nominal", "unmodelled_delay"], model=Model(robot))
@@ -337,6 +339,7 @@ def test_a_state_of_the_exact_pid_changes_nothing_of_an_earlier_one() -> None:
 # --- comparisons --------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_a_comparison_takes_the_controllers_that_can_and_delays_that_such_robots_have() -> None:
     assert compared_controllers(CARTPOLE) == ("pid", "lqr", "nmpc", "sampling")
     quick = {"duration": "1"}

@@ -298,6 +298,7 @@ def test_a_joint_that_is_called_like_an_option_has_a_name_of_its_own() -> None:
 # --- what people look at ------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_a_table_that_would_be_too_wide_has_the_worst_joint_and_whole_names() -> None:
     found = workflow.compare(
         ["hold"], under=["nominal", "unmodelled_delay"], model=Model(RIG), scenario_options={"duration": "0.3"}

@@ -69,6 +69,7 @@ def test_every_mutant_is_a_program_that_says_something_else() -> None:
         assert lines[0] >= mutant.line
 
 
+@pytest.mark.slow
 def test_mutants_are_given_to_tests_of_their_module_and_of_what_it_is_for() -> None:
     importers = runpy.run_path(str(ROOT / "benchmarks" / "mutants.py"))["Importers"](ROOT)
     files = importers.files("diagnosis/fitting.py", 6)

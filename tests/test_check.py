@@ -78,6 +78,7 @@ def gained(effect: Effect) -> tuple[float, float]:
     return base.deviance - found.deviance, threshold
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("effect", "place", "make"),
     [
@@ -108,6 +109,7 @@ def test_what_free_parameters_can_do_shows_at_no_size() -> None:
     assert any(e.possible for e in shown), "with the inertia known it shows"
 
 
+@pytest.mark.slow
 def test_least_standard_deviations_are_those_of_fits() -> None:
     """Over recordings that differ by their noise alone."""
     deviations = {own.name: own.deviation for own in checked().information.parameters}

@@ -54,6 +54,7 @@ def test_it_does_better_than_what_comes_to_mind() -> None:
     assert gaps[0] > 1.5 * gaps[1]
 
 
+@pytest.mark.slow
 def test_the_same_seed_gives_the_same_bits() -> None:
     design.cache_clear()
     first = design()

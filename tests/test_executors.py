@@ -133,6 +133,7 @@ def opened_executor(request: pytest.FixtureRequest, tmp_path: Path, monkeypatch:
     return Where(slurm=slurm_settings(table, tmp_path / "jobs", "jobs.toml")).opened
 
 
+@pytest.mark.slow
 def test_pieces_come_to_the_same_wherever_they_are_done(opened_executor: Open) -> None:
     pool: Executor
     with opened_executor() as pool:
@@ -440,6 +441,7 @@ def test_a_process_that_starts_as_the_loop_ends_is_ended(monkeypatch: pytest.Mon
         within(30, lambda: not any(alive(child._process.pid) for child in made))
 
 
+@pytest.mark.slow
 def test_a_kept_process_of_a_client_that_is_gone_is_ended(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(on_dask, "IDLE", 1.5)
     monkeypatch.setattr(on_dask, "_task", lambda: None)

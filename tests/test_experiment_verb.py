@@ -54,6 +54,7 @@ def test_what_is_written_is_what_was_designed(tmp_path: Path) -> None:
     )
 
 
+@pytest.mark.slow
 def test_the_keys_of_the_record_stand_in_the_documentation() -> None:
     page = (Path(__file__).parents[1] / "docs" / "formats.md").read_text(encoding="utf-8")
     table = page.partition("## The record of a designed trial\n")[2].partition("\n## ")[0]
@@ -105,6 +106,7 @@ def test_rivals_are_read_from_whatever_holds_them(tmp_path: Path) -> None:
     assert "its rivals cannot be read (KeyError" in refusal(lambda: rivals_in(tmp_path, rivals.model))
 
 
+@pytest.mark.slow
 def test_the_command_writes_what_run_plays(tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
                                            capsys: pytest.CaptureFixture[str]) -> None:  # fmt: skip
     monkeypatch.chdir(tmp_path)

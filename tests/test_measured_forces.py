@@ -191,6 +191,7 @@ def test_a_diagnosis_by_measured_torques_names_the_gain_and_finds_the_mass() -> 
     assert (channel.name, channel.unit) == ("meas.drive", "N·m") and channel.rmse == pytest.approx(0.02, rel=0.1)
 
 
+@pytest.mark.slow
 def test_both_engines_agree_on_what_small_forces_change_of_a_drives_force() -> None:
     model = Model(SERVO, (FirstOrderLag("drive", 0.02),))
     segments = cut(model, with_channels(measured()[:1], ["meas.drive"]), shoot=2.0)[:1]

@@ -123,6 +123,7 @@ def test_wrong_numbers_leave_no_offset_and_do_not_make_it_swing(seed: int) -> No
     assert np.all(np.abs((done.position - done.reference)[-60:]) < 5e-3)
 
 
+@pytest.mark.slow
 def test_rates_of_commands_stay_within_their_limit() -> None:
     rate = 1e5
     done = tracked(

@@ -157,6 +157,7 @@ def test_a_study_that_names_joints_is_for_these_alone(tmp_path: Path) -> None:
     assert own_settings("pid.toml", ARM) == "pid_arm.toml"
 
 
+@pytest.mark.slow
 def test_what_is_tuned_is_written_for_that_robot_and_run_takes_it(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -208,6 +209,7 @@ def three(problem: PlantProblem) -> PlantProblem:
     return own
 
 
+@pytest.mark.slow
 def test_what_the_hardest_robot_costs_does_not_count_and_each_has_noise_of_its_own(three: PlantProblem) -> None:
     (whole,) = three.evaluations([three.first], Workers())
     model, hardest, drawn = whole.member_costs
@@ -217,6 +219,7 @@ def test_what_the_hardest_robot_costs_does_not_count_and_each_has_noise_of_its_o
     assert [own.cost for own in alone] == list(whole.member_costs)
 
 
+@pytest.mark.slow
 def test_a_candidate_that_is_not_to_become_the_cheapest_is_not_tried_to_the_end(three: PlantProblem) -> None:
     (whole,) = three.evaluations([three.first], Workers())
     dearer = judged(2 * whole.cost, tuple(2 * cost for cost in whole.member_costs))
@@ -232,6 +235,7 @@ def test_a_candidate_that_is_not_to_become_the_cheapest_is_not_tried_to_the_end(
     assert Evaluation.from_dict(json.loads(json.dumps(beaten.to_dict()))).to_dict() == beaten.to_dict()
 
 
+@pytest.mark.slow
 def test_where_no_loops_tell_the_hardest_robot_is_tried_last_and_of_the_cheapest_only(three: PlantProblem) -> None:
     blind = replace(three, space=replace(three.space, growth=None))
     assert blind.stages == [[0], [2], [1]]
@@ -253,6 +257,7 @@ def test_where_no_loops_tell_the_hardest_robot_is_tried_last_and_of_the_cheapest
         assert found.within == kept and len(found.member_costs) == 2
 
 
+@pytest.mark.slow
 def test_a_further_dead_time_is_tried_only_of_what_would_be_the_cheapest(problem: PlantProblem) -> None:
     """With a dead time so long that no loop bears it, who is the cheapest fails, and who is not is never asked."""
     lost = replace(problem, margin=True, limits=replace(problem.limits, delay_margin=0.5))

@@ -108,6 +108,7 @@ def test_every_effect_and_every_kind_turns_up() -> None:
     assert {e.name for r in many() for e in r.outside} == set(OUTSIDE)
 
 
+@pytest.mark.slow
 def test_each_kind_holds_what_it_says() -> None:
     expected = {"none": (0, 0), "single": (1, 0), "pair": (2, 0), "outside": (0, 1)}
     for r in many():

@@ -148,6 +148,7 @@ def test_the_page_of_commands_has_every_verb_and_option() -> None:
     assert "`--write-model FILE`" in text and "[bold]" not in text and "\b" not in text
 
 
+@pytest.mark.slow
 def test_the_page_of_effects_has_every_effect_with_its_sentence_and_confusions() -> None:
     text = tool("reference_effects").page(DOCS / "proof")
     entries = dict(re.findall(r"(?ms)^### (\w+)\n(.*?)(?=^##|\Z)", text))

@@ -261,6 +261,7 @@ def test_it_follows_a_path_about_as_well_as_the_pid(robot: MjcfRobot) -> None:
     assert tracked(robot, nmpc(), heavy) < 1.8 * pid
 
 
+@pytest.mark.slow
 def test_a_lag_that_is_known_costs_little() -> None:
     drive = '<general name="m" joint="pivot" dyntype="filter" dynprm="0.1" gainprm="2"/>'
     slow = MjcfRobot("slow", pendulum('damping="0.3"', drive=drive))
@@ -346,6 +347,7 @@ def test_where_nothing_is_in_the_way_the_plan_is_the_regulators(robot: MjcfRobot
     np.testing.assert_allclose(asked[1], asked[0], atol=0.03 * np.abs(asked[0]).max())
 
 
+@pytest.mark.slow
 def test_ranges_and_velocities_are_bounded() -> None:
     narrow = MjcfRobot("narrow", pendulum('damping="0.1" range="-1 0.5" limited="true"'))
     plant = MujocoPlant(Model(narrow))
@@ -423,6 +425,7 @@ def test_a_servos_command_is_a_goal_and_force_limits_are_known() -> None:
     assert np.abs(done.run.asked).max() <= 1.0
 
 
+@pytest.mark.slow
 def test_commands_change_no_faster_than_an_actuator_can() -> None:
     drive = '<pid name="goal" joint="pivot" kp="40" slewmax="0.5" input="pos"/>'
     plant = MujocoPlant(Model(MjcfRobot("slow", pendulum('damping="2"', drive=drive))))

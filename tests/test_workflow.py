@@ -410,6 +410,7 @@ def test_tuned_again_it_asks_nothing_twice(study: Path) -> None:
     assert len((fresh.folder / "journal-1.jsonl").read_text().splitlines()) == 4
 
 
+@pytest.mark.slow
 def test_another_tuning_leaves_what_is_there(study: Path, tmp_path: Path) -> None:
     one = workflow.tune_into("pid", study)
     before = {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()}
