@@ -156,7 +156,7 @@ class Rival(Short):
                 "effects": [{"effect": e.name, "location": e.location, **e.parameters()} for e in model.effects],
                 "by_group": {group: dict(values) for group, values in model.by_group},
             },
-            "free": [asdict(free) for free in self.parameters.free],
+            "free": [{**asdict(free), "also": list(free.also)} for free in self.parameters.free],
             "theta": self.theta.tolist(),
             "information": [row[: k + 1] for k, row in enumerate(self.information.tolist())],
         }
@@ -348,7 +348,11 @@ class Rivals(Short):
             "noise": [asdict(own) for own in self.noise],
             "rate_hz": self.rate,
             "n": self.n,
-            "channels": asdict(self.channels),
+            "channels": {
+                "velocities": list(self.channels.velocities),
+                "sites": [list(own) for own in self.channels.sites],
+                "forces": list(self.channels.forces),
+            },
             "zeros": list(self.zeros),
             "linear": self.linear,
             "start": self.start.tolist(),
