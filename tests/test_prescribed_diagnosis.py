@@ -59,8 +59,8 @@ def test_friction_at_the_other_joint_is_found() -> None:
     assert found.findings[0].parameters["friction"].value == pytest.approx(FRICTION, rel=0.05)
     assert record["verdict"] == "explained" and list(record["noise_rad"]) == ["elbow"]
     assert [note for note in record["notes"] if "the motion of shoulder (0.5" in note or "shoulder (0.4" in note]
-    models = ("refitted", "augmented", "corrected")  # they say which joints are prescribed
-    assert all("shoulder" not in str(value) for key, value in record.items() if key not in ("notes", *models))
+    assert record["models"]["corrected"]["prescribe"] == ["shoulder"]
+    assert all("shoulder" not in str(value) for key, value in record.items() if key not in ("notes", "models"))
 
 
 def flown(rng: np.random.Generator, name: str) -> Recording:
