@@ -10,6 +10,7 @@ import pytest
 from mjcf_models import refusal
 from rival_legs import delays, frictions
 
+from equimus_ctrl.diagnosis.rivals import Rivals
 from equimus_ctrl.errors import ConfigError, NothingFeasible
 from equimus_ctrl.experiments.conditions import known_conditions
 from equimus_ctrl.experiments.design import designed, told_pairs
@@ -26,6 +27,14 @@ RANGE = {"drive.low": "-1.2", "drive.high": "1.2", "duration": "2.5"}
 def limits_of_the_pendulum(**more: str) -> Limits:
     given = {key.replace("_", "."): value for key, value in more.items()}
     return Limits.read(frictions().model.robot, None, {**RANGE, **given})
+
+
+def quickly(rivals: Rivals, limits: Limits, evaluations: int, draws: int) -> Designed:
+    """A design of steps from few that are tried."""
+    return designed(
+        rivals, limits, over_families=families(["steps"]), evaluations=evaluations, draws=draws, refits=2,
+        simulator=rivals.simulator(1),
+    )  # fmt: skip
 
 
 @cache
@@ -74,15 +83,7 @@ def test_commands_begin_and_end_at_rest_within_their_range() -> None:
 
 def test_no_draw_leaves_the_limits_and_tight_ones_shrink_the_design() -> None:
     rivals, tight = frictions(), limits_of_the_pendulum(hinge_high="0.3", hinge_low="-0.3", hinge_margin="0")
-    found = designed(
-        rivals,
-        tight,
-        over_families=families(["steps"]),
-        evaluations=15,
-        draws=19,
-        refits=2,
-        simulator=rivals.simulator(1),
-    )
+    found = quickly(rivals, tight, 15, 19)
     assert not found.excess.left and -0.5 < found.excess.worst <= 0
     ground = Ground.of(rivals, tight, found.condition, rivals.simulator(1))
     models = [own.model_at(t) for own in rivals.rivals for t in own.draws(np.random.default_rng([0, 1]), 19)]
@@ -106,15 +107,7 @@ def test_a_course_is_shrunk_until_all_of_many_stay_within() -> None:
 def test_late_sensors_and_late_valves_are_inseparable_and_a_pressure_sensor_is_named() -> None:
     rivals = delays()
     limits = Limits.read(rivals.model.robot, None, {"duration": "2.5"})
-    found = designed(
-        rivals,
-        limits,
-        over_families=families(["steps"]),
-        evaluations=12,
-        draws=9,
-        refits=2,
-        simulator=rivals.simulator(1),
-    )
+    found = quickly(rivals, limits, 12, 9)
     (pair,) = found.inseparable
     assert pair.places == (0, 1) and pair.harder.repeats == np.inf and pair.harder.chance < 0.05
     best = found.remedies[0, 1][0]

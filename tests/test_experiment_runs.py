@@ -210,6 +210,7 @@ def test_who_says_no_is_asked_again_the_next_time(bench: Bench, before: Path, tm
         ({"can": ["payload:nowhere=1"]}, "nowhere"),
         ({"family": ["square"]}, "square"),
         ({"limit": {"knee.width": "1"}}, "width"),
+        ({"effects": [CoulombFriction("nowhere", 0.1)]}, "nowhere"),
     ],
 )
 def test_what_cannot_be_is_refused_before_anything_is_done(

@@ -33,12 +33,7 @@ def rescreened(responses: Responses, evaluated: Mapping[Candidate, Sequence[Gues
     data, fitted, columns = responses.data, responses.fitted, responses.columns
     base, scale = len(data.free.free), fitted.fit.parameters.scale[: len(data.free.free)]
     size = (columns[WHITE] ** 2).sum(axis=0)
-    chosen = [
-        guess
-        for guesses in evaluated.values()
-        for guess in guesses
-        if len(guess.kept) >= base and _nearly_cancelled(data, float(size[guess.index]), guess.strengths[WHITE])
-    ]
+    chosen = _nearly_cancelled(data, evaluated, size, base, WHITE)
     if not chosen:
         return {}
     white = responses.whitened_fits[WHITE]
@@ -80,12 +75,7 @@ def strengths_left(responses: Responses, evaluated: Mapping[Candidate, Sequence[
     base, scale = len(data.free.free), fitted.fit.parameters.scale[: len(data.free.free)]
     whitened, columns = responses.whitened_fits[ESTIMATED], responses.columns[ESTIMATED]
     size = (columns**2).sum(axis=0)
-    chosen = [
-        guess
-        for guesses in evaluated.values()
-        for guess in guesses
-        if len(guess.kept) >= base and _nearly_cancelled(data, float(size[guess.index]), guess.strengths[ESTIMATED])
-    ]
+    chosen = _nearly_cancelled(data, evaluated, size, base, ESTIMATED)
     if not chosen:
         return {}
     inverse = np.linalg.pinv(whitened.slopes[:, :base], rcond=STRONG)
@@ -104,15 +94,25 @@ def strengths_left(responses: Responses, evaluated: Mapping[Candidate, Sequence[
     return found
 
 
-def _nearly_cancelled(data: Data, size: float, beyond: float) -> bool:
-    """Whether parameters cancel so much of a change that the remainder is mostly curvature.
+def _nearly_cancelled(
+    data: Data, evaluated: Mapping[Candidate, Sequence[Guess]], size: Array, base: int, whitening: int
+) -> list[Guess]:
+    """Guesses whose change parameters cancel so much of that the remainder is mostly curvature.
 
     Args:
         data: with the thresholds.
-        size: ‖c‖² of the change.
-        beyond: ‖Pc‖² of the remainder.
+        evaluated: guesses of each candidate.
+        size: ‖c‖² of each guess' change.
+        base: how many parameters the model has, which all have to be kept.
+        whitening: by which ‖Pc‖² of the remainder is meant.
     """
-    return data.thresholds.decides(lambda t: size > t.absorbed * beyond)
+
+    def cancelled(guess: Guess) -> bool:
+        beyond, whole = guess.strengths[whitening], float(size[guess.index])
+        return data.thresholds.decides(lambda t: whole > t.absorbed * beyond)
+
+    guesses = (guess for own in evaluated.values() for guess in own)
+    return [guess for guess in guesses if len(guess.kept) >= base and cancelled(guess)]
 
 
 @dataclass(frozen=True, eq=False)

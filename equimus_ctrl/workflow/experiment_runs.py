@@ -292,6 +292,7 @@ def run_experiments(
     if entry.real and not armed:
         raise ConfigError(f"experiments with --plant {plant} command a real robot, expected --arm")
     entry.check_effects(effects, model.effects)
+    replace(model, effects=(*model.effects, *effects))  # places that there are not are told before anything is done
     if prescribed := model.robot.prescribed_names:
         raise ConfigError(
             f"{model.name}: the motion of {', '.join(prescribed)} is an input from recordings, which trials that are "
