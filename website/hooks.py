@@ -13,6 +13,7 @@ import re
 from pathlib import Path
 
 import reference
+from code_spans import unbroken
 from lists import aligned
 from mkdocs.config.defaults import MkDocsConfig
 from mkdocs.structure.files import File, Files
@@ -46,7 +47,8 @@ def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Fil
 
 
 def on_page_content(html: str, page: Page, config: MkDocsConfig, files: Files) -> str:
-    """Let links of notebooks lead to pages; MkDocs does that of Markdown alone."""
+    """Keep code in one piece, and let links of notebooks lead to pages; MkDocs does that of Markdown alone."""
+    html = unbroken(html)
     if not page.file.src_uri.endswith(".py"):
         return html
 

@@ -1,0 +1,26 @@
+"""Code within a line: what is short stays in one piece, what is long breaks at its joints."""
+
+from __future__ import annotations
+
+import re
+from html import unescape
+
+SPAN = re.compile(r"(?<!<pre>)(?<!<span></span>)<code>([^<]+)</code>")
+JOINT = re.compile(r"(?<=[/_.,:=(])(?=[^\s/_.,:=(])")
+LONGEST = 28
+"""Characters that fit in a line of a list on a phone."""
+
+
+def unbroken(html: str) -> str:
+    """The same page; browsers would else break ``--free`` after its first hyphen.
+
+    Code of at most ``LONGEST`` characters gets the class ``short``, which the style sheet keeps in one line. In longer
+    code a line may end behind a slash, an underscore and the like.
+    """
+
+    def span(found: re.Match[str]) -> str:
+        if len(unescape(found[1])) <= LONGEST:
+            return f'<code class="short">{found[1]}</code>'
+        return f"<code>{JOINT.sub('<wbr>', found[1])}</code>"
+
+    return SPAN.sub(span, html)
