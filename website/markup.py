@@ -1,4 +1,4 @@
-"""Code within a line: what is short stays in one piece, what is long breaks at its joints."""
+"""Pages as they are easier to read: code within a line, and figures."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ SPAN = re.compile(r"(?<!<pre>)(?<!<span></span>)<code>([^<]+)</code>")
 JOINT = re.compile(r"(?<=[/_.,:=(])(?=[^\s/_.,:=(])")
 LONGEST = 28
 """Characters that fit in a line of a list on a phone."""
+FIGURE = re.compile(r'<p>(<img [^>]*?src="([^":]+)"[^>]*>)')
 
 
 def unbroken(html: str) -> str:
@@ -24,3 +25,8 @@ def unbroken(html: str) -> str:
         return f"<code>{JOINT.sub('<wbr>', found[1])}</code>"
 
     return SPAN.sub(span, html)
+
+
+def opened(html: str) -> str:
+    """The same page; a figure is a link to itself, which a browser shows in its full size."""
+    return FIGURE.sub(r'<p><a href="\2">\1</a>', html)
