@@ -97,7 +97,8 @@ def _densest(classes: Sequence[Class], squares: Sequence[Array]) -> str:
         density = part * np.log(max(part / samples, 1.0)) if part > 0 else 0.0
         if density > best and part / samples > DENSE:
             best = density
-            label = f"{c.text} ({min(part, 1.0):.0%} of the excess residual variance in {samples:.0%} of the samples)"
+            share = f"{100 * min(part, 1.0):.0f} % of the excess residual variance"
+            label = f"{c.text} ({share} in {100 * samples:.0f} % of the samples)"
     return label
 
 

@@ -169,7 +169,7 @@ def false_alarms_figure(score: Score) -> Figure:
         axes.bar(x, heights, width=0.7 / count, color=colour, alpha=0.75, zorder=2)
         known = [(place, s) for place, s in zip(x, shares, strict=True) if s.of]
         if known:
-            _with_bars(axes, [p for p, _ in known], [s for _, s in known], style.INK, "")
+            _with_bars(axes, [p for p, _ in known], [s for _, s in known], style.INK, "o")
     axes.axhline(100 * MOST_FALSE_ALARMS, color=style.ALERT, linestyle=style.DASHES, linewidth=1.2, zorder=4)
     estimates = [score.ours.false_alarms[g].of for g in groups]
     names = ("all", "white noise", "coloured noise")
