@@ -14,7 +14,7 @@ from pathlib import Path
 
 import reference
 from lists import aligned
-from markup import opened, unbroken
+from markup import commands, opened, unbroken
 from mkdocs.config.defaults import MkDocsConfig
 from mkdocs.structure.files import File, Files
 from mkdocs.structure.pages import Page
@@ -56,7 +56,7 @@ def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Fil
 
 def on_page_content(html: str, page: Page, config: MkDocsConfig, files: Files) -> str:
     """Keep code in one piece, open figures, and let links of notebooks lead to pages, as MkDocs does those of Markdown."""
-    html = opened(unbroken(html))
+    html = opened(commands(unbroken(html)))
     if not page.file.src_uri.endswith(".py"):
         return html
 

@@ -9,6 +9,8 @@ SPAN = re.compile(r"(?<!<pre>)(?<!<span></span>)<code>([^<]+)</code>")
 JOINT = re.compile(r"(?<=[/_.,:=(])(?=[^\s/_.,:=(])")
 LONGEST = 28
 """Characters that fit in a line of a list on a phone."""
+COMMANDS = re.compile(r'<div class="language-sh highlight">.*?</div>', re.DOTALL)
+FLAG = re.compile(r"(?<![\w.\"/-])--?[a-z][a-z-]*(?![\w.\"]*[\">])")
 FIGURE = re.compile(r'<p>(<img [^>]*?src="([^":]+)"[^>]*>)')
 
 
@@ -25,6 +27,11 @@ def unbroken(html: str) -> str:
         return f"<code>{JOINT.sub('<wbr>', found[1])}</code>"
 
     return SPAN.sub(span, html)
+
+
+def commands(html: str) -> str:
+    """The same page; in commands, which wrap, an option stays in one piece, too."""
+    return COMMANDS.sub(lambda block: FLAG.sub(r'<span class="short">\g<0></span>', block[0]), html)
 
 
 def opened(html: str) -> str:
