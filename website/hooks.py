@@ -55,7 +55,7 @@ def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Fil
 
 
 def on_page_content(html: str, page: Page, config: MkDocsConfig, files: Files) -> str:
-    """Keep code in one piece, open figures, and let links of notebooks lead to pages, as MkDocs does those of Markdown."""
+    """Keep code in one piece, open figures, let links of notebooks lead to pages, as MkDocs does of Markdown."""
     html = opened(commands(unbroken(html)))
     if not page.file.src_uri.endswith(".py"):
         return html

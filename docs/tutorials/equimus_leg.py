@@ -66,7 +66,9 @@ else:
         axis.plot(trial.time, np.degrees(trial.position[:, k]), label="measured")
         axis.plot(trial.time, np.degrees(predicted[:, k]), label="model")
         axis.set(xlabel="time [s]", ylabel=f"{trial.joints[k]} [°]")
-    figure.legend(*axes[0].get_legend_handles_labels(), loc="outside upper center", ncols=2)
+    figure.legend(
+        *axes[0].get_legend_handles_labels(), loc="outside upper center", ncols=2
+    )
 
 # %% [markdown]
 # The model follows, late and with other amplitudes. What it lacks are laws of the valves: a threshold below which they

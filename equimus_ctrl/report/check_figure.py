@@ -90,7 +90,7 @@ def _parameters(axes: Axes, known: Information) -> None:
             axes.text(100 * low, k, "not identifiable", va="center", fontsize=style.SMALL_SIZE, color=style.ALERT)
             continue
         axes.plot([100 * alone, 100 * share], [k, k], color=style.GRID, linewidth=4, solid_capstyle="butt", zorder=1)
-        axes.plot(100 * share, k, "o", color=style.joint_colour(2), markersize=6, zorder=3)
+        axes.plot(100 * share, k, "o", color=style.INK, markersize=6, zorder=3)
         axes.plot(100 * alone, k, "|", color=style.FAINT, markersize=9, zorder=2)
     axes.set_xscale("log")
     axes.set_xlim(100 * low / 2, 100 * high * 2)
