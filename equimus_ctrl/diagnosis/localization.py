@@ -182,6 +182,7 @@ def _regions(model: Model, segments: Sequence[Segment], j: int) -> list[Class]:
         edges = np.quantile(np.concatenate(values), np.linspace(0, 1, REGIONS + 1))
         for low, high in itertools.pairwise(edges):
             if high > low:
-                label = f"{text} of {low * shown.factor:.3g} to {high * shown.factor:.3g} {shown.unit}".rstrip()
+                first, last = (f"{shown.factor * end:.3g}".replace("-", "−") for end in (low, high))
+                label = f"{text} of {first} to {last}{'' if shown.unit == '°' else ' '}{shown.unit}".rstrip()
                 regions.append(Class(label, tuple((v >= low) & (v <= high) for v in values)))
     return regions
