@@ -1,4 +1,4 @@
-"""Help in which a flag looks like a flag: it takes no value, so none is named."""
+"""Help for people: a flag takes no value, so none is named, and the value of an option is not a type of Python."""
 
 from __future__ import annotations
 
@@ -10,10 +10,18 @@ if TYPE_CHECKING:
     from typing import Any
 
 
-def _bare(parameters: list[Any]) -> list[Any]:
+VALUES = {"str": "TEXT", "int": "INTEGER", "float": "NUMBER", "path": "PATH"}
+"""Type of an option's value, or of each of several → its name in help."""
+
+
+def _bare(parameters: list[Any], ctx: Any) -> list[Any]:
     for own in parameters:
-        if getattr(own, "is_flag", False) and own.metavar is None:
-            own.metavar = ""
+        if own.metavar is None and own.param_type_name == "option":
+            if getattr(own, "is_flag", False):
+                own.metavar = ""
+            else:
+                kind = own.display_type(ctx).strip("<>").lower().removeprefix("list[").removesuffix("]")
+                own.metavar = VALUES.get(kind)
     return parameters
 
 
@@ -22,7 +30,7 @@ class Command(TyperCommand):
 
     def get_params(self, ctx: Any) -> list[Any]:
         """Its parameters, ``--help`` among them."""
-        return _bare(super().get_params(ctx))
+        return _bare(super().get_params(ctx), ctx)
 
 
 class Group(TyperGroup):
@@ -30,4 +38,4 @@ class Group(TyperGroup):
 
     def get_params(self, ctx: Any) -> list[Any]:
         """Its parameters, ``--help`` among them."""
-        return _bare(super().get_params(ctx))
+        return _bare(super().get_params(ctx), ctx)
