@@ -25,8 +25,18 @@ def _bare(parameters: list[Any], ctx: Any) -> list[Any]:
     return parameters
 
 
+def _flowing(text: str) -> str:
+    """Paragraphs without the ends of lines that they have in the source; those of examples, after a \\b, stay."""
+    parts = text.split("\n\n")
+    return "\n\n".join(part if part.lstrip().startswith("\b") else " ".join(part.split()) for part in parts)
+
+
 class Command(TyperCommand):
     """A verb."""
+
+    def __init__(self, *args: Any, **options: Any) -> None:
+        super().__init__(*args, **options)
+        self.help = _flowing(self.help) if self.help else self.help
 
     def get_params(self, ctx: Any) -> list[Any]:
         """Its parameters, ``--help`` among them."""
