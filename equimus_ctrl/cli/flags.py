@@ -26,7 +26,7 @@ def _bare(parameters: list[Any], ctx: Any) -> list[Any]:
 
 
 def _flowing(text: str) -> str:
-    """Paragraphs without the ends of lines that they have in the source; those of examples, after a \\b, stay."""
+    r"""Paragraphs without the ends of lines that they have in the source; those of examples, after a \b, stay."""
     parts = text.split("\n\n")
     return "\n\n".join(part if part.lstrip().startswith("\b") else " ".join(part.split()) for part in parts)
 
