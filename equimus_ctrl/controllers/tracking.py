@@ -1,0 +1,68 @@
+"""References of joints tracked by a given feedback law, see ``types.FeedbackLaw``."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+
+from equimus_ctrl.engines.tracking_law import nothing_remembered, tracking_command
+from equimus_ctrl.errors import ControllerError
+from equimus_ctrl.types import Array, FeedbackLaw, Observation, PlantSpec, Reference, frozen_array
+
+
+@dataclass(frozen=True, eq=False)
+class TrackingState:
+    """What it carries from step to step.
+
+    Attributes:
+        memory: (2, nj) see ``engines.tracking_law.ERROR``.
+        spec: of the plant.
+    """
+
+    memory: Array
+    spec: PlantSpec
+
+
+@dataclass(frozen=True, eq=False)
+class TrackingController:
+    """PD with a feed-forward that is given.
+
+    Attributes:
+        law: of the feedback.
+        reference: of the joints, as (nj,) at a time.
+        feed: what is fed forward, as (na,) at a time.
+    """
+
+    name: ClassVar[str] = "tracking"
+
+    law: FeedbackLaw
+    reference: Reference
+    feed: Reference
+
+    def init(self, spec: PlantSpec, observation: Observation) -> TrackingState:
+        """Nothing is remembered at first.
+
+        Raises:
+            ControllerError: where the law is of another number of joints or actuators than the plant.
+        """
+        wanted = len(spec.actuators), len(spec.joints)
+        if self.law.stiffness.shape != wanted:
+            raise ControllerError(
+                f"the feedback law has gains {self.law.stiffness.shape} from joints to actuators, expected {wanted}"
+            )
+        return TrackingState(nothing_remembered(len(spec.joints)), spec)
+
+    def step(
+        self, observation: Observation, reference: Reference, state: TrackingState
+    ) -> tuple[Array, TrackingState]:  # fmt: skip
+        """The next command, which the plant clips; what was measured is compared with the reference of then."""
+        law, spec, memory = self.law, state.spec, state.memory.copy()
+        command = np.empty(len(spec.actuators))
+        tracking_command(
+            np.array(self.reference.position(observation.stamp)), np.array(observation.position),
+            np.array(self.feed.position(observation.time)), np.array(law.stiffness), np.array(law.damping),
+            law.smoothing, spec.control_dt, memory, command,
+        )  # fmt: skip
+        return frozen_array(command), TrackingState(memory, spec)
