@@ -9,7 +9,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-import mujoco
 import numpy as np
 
 from equimus_ctrl import computer
@@ -35,11 +34,6 @@ from equimus_ctrl.models.model import Model
 from equimus_ctrl.quiet import quietly
 from equimus_ctrl.robots.mjcf.robot import mjcf_of
 from equimus_ctrl.types import Array, FeedbackLaw
-
-FEWEST = 2.0
-"""Samples in the time constant of the filter of the error's rate."""
-SINGULAR = 1e-6
-"""Of torques by commands, the smallest singular value over the largest below which some joint has no drive."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -206,80 +200,3 @@ def _follow(
         q[steps[lost] + 1 :], v[steps[lost] + 1 :] = np.nan, np.nan
     sound = total + 1 if lost == n else int(steps[lost]) + 1
     return Course(trial.start, dt, q, v, ctrl, sound, whole if trial.forces else None)
-
-
-def law_at(model: Model, pose: Array, frequency: float, period: float) -> FeedbackLaw:
-    """The law with which joints go back to their reference like critically damped second-order systems.
-
-    K = G⁺ M ω², D = 2 G⁺ M ω with ω = 2πf, the joint-space inertia M and the torques by commands G of the model in a
-    pose; the error's rate is filtered over two samples or more, and over an eighth of 1/ω at least.
-
-    Args:
-        model: the nominal one.
-        pose: (nj,) [rad or m].
-        frequency: f [Hz].
-        period: between commands [s].
-
-    Raises:
-        ConfigError: where a drive is a servo, which tracks by itself, or some joint has no drive of its own.
-    """
-    robot = mjcf_of(model.robot)
-    if servos := [drive.name for drive in robot.actuators if drive.servo]:
-        raise ConfigError(f"{robot.name}: {servos[0]} is a servo, which tracks by itself")
-    inertia, by_command = inertia_and_gains(realise(model), pose)
-    sizes = np.linalg.svd(by_command, compute_uv=False) if by_command.size else np.zeros(1)
-    nj = len(pose)
-    if by_command.shape[1] < nj or not sizes[nj - 1] > SINGULAR * sizes[0]:
-        raise ConfigError(
-            f"{robot.name} has {by_command.shape[1]} actuators for {nj} joints, expected one that moves each joint, so "
-            "that all can track a reference"
-        )
-    omega, back = 2 * np.pi * frequency, np.linalg.pinv(by_command) @ inertia
-    return FeedbackLaw(back * omega**2, back * (2 * omega), max(FEWEST * period, 0.125 / omega))
-
-
-def inertia_and_gains(own: Realised, pose: Array) -> tuple[Array, Array]:
-    """(nj, nj) inertia of the joints in a pose (nj,), and (nj, na) torques by commands there."""
-    at, dofs, drives = own.places.T
-    data = mujoco.MjData(own.mujoco)
-    data.qpos[at] = pose
-    mujoco.mj_forward(own.mujoco, data)
-    whole, still = np.zeros((own.mujoco.nv, own.mujoco.nv)), data.qfrc_actuator[drives].copy()
-    mujoco.mj_fullM(own.mujoco, data, whole)
-    columns = [np.zeros((len(drives), 0))]
-    for drive in own.robot.actuators:
-        some = 1.0 if drive.range[1] > 0 else -1.0
-        some = float(np.clip(some, *drive.range))
-        commands = data.ctrl if drive.state is None else data.act
-        place = drive.control if drive.state is None else drive.state
-        commands[place] = some
-        mujoco.mj_forward(own.mujoco, data)
-        columns.append(((data.qfrc_actuator[drives] - still) / some)[:, None])
-        commands[place] = 0.0
-    return np.asarray(whole[np.ix_(dofs, dofs)]), np.hstack(columns)
-
-
-def fed_forward(model: Model, times: Array, reference: Array) -> Array:
-    """(n, na) commands under which a model would follow a reference (n, nj) at instants (n,), by inverse dynamics.
-
-    Rates and accelerations are differences of the reference. Drives count by their gains, what passes slowly through
-    them as if it had arrived; effects that MuJoCo has no field for do not count.
-    """
-    own = realise(model)
-    m, data = own.mujoco, mujoco.MjData(own.mujoco)
-    at, dofs, _ = own.places.T
-    rate = np.gradient(reference, times, axis=0)
-    acceleration = np.gradient(rate, times, axis=0)
-    _, by_command = inertia_and_gains(own, reference[0])
-    back, found = np.linalg.pinv(by_command), np.empty((len(times), by_command.shape[1]))
-    with quietly():
-        for k in range(len(times)):
-            data.qpos[at], data.qvel[dofs], data.qacc[dofs] = reference[k], rate[k], acceleration[k]
-            for place, dof, joint in own.rotors:
-                data.qpos[place], data.qvel[dof], data.qacc[dof] = reference[k, joint], rate[k, joint], 0.0
-            mujoco.mj_inverse(m, data)
-            needed = np.array(data.qfrc_inverse[dofs])
-            for _, dof, joint in own.rotors:
-                needed[joint] += data.qfrc_inverse[dof]
-            found[k] = back @ needed
-    return found

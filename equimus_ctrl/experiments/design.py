@@ -285,8 +285,8 @@ def _largest(arms: Sequence[Arm], final: _Final) -> list[Commands]:
         if arm.largest is not None
         for own in final.kept([(arm, arm.largest)], lambda stage, share: None)
     ]
-    span = np.ptp([own.course for own in found], axis=1) if found else np.empty((0, 1))
-    return [found[int(span.max(axis=1).argmax())]] if found else []
+    span = [float(np.ptp(own.course, axis=0).max()) for own in found]
+    return [found[int(np.argmax(span))]] if found else []
 
 
 def _both_ways(found: Sequence[Power]) -> Iterator[tuple[Power, Power]]:

@@ -10,6 +10,7 @@ from functools import cached_property
 import numpy as np
 
 from equimus_ctrl.diagnosis.rivals import Rivals
+from equimus_ctrl.effects.force import ForceEffect
 from equimus_ctrl.engines.mjcf_tracked import Followed
 from equimus_ctrl.engines.predict import in_its_condition
 from equimus_ctrl.engines.rest import rest_pose
@@ -114,12 +115,13 @@ class Ground:
             begin[robot.joint_names.index(joint)] = value
         nominal = as_noted(rivals.model, condition.notes)
         engine = closed_loop_engine(nominal)
+        begin = engine.balanced(nominal, begin[None])[0]
         unsteady = ""
         for frequency in frequencies:
             law = engine.law_at(nominal, begin, float(frequency), 1 / rivals.rate)
             found = cls(rivals, limits, condition, simulator, begin, begin, law)
             if not (unsteady := found._unsteady()):
-                return replace(found, acceleration=found._possible(law.stiffness / (2 * np.pi * float(frequency)) ** 2))
+                return replace(found, acceleration=found._possible(engine.by_acceleration(nominal, begin)))
         tried = " or ".join(f"{frequency:.3g} Hz" for frequency in frequencies)
         raise ConfigError(f"{unsteady} does not come to rest under feedback of {tried}, expected another --track")
 
@@ -203,7 +205,9 @@ class Ground:
         if self.law is None:
             return Commands(self.times, course, lasts, self.pose, notes)
         nominal = as_noted(self.rivals.model, notes)
-        feed = closed_loop_engine(nominal).fed_forward(nominal, self.times, course)
+        engine = closed_loop_engine(nominal)
+        course = engine.balanced(nominal, course)
+        feed = engine.fed_forward(nominal, self.times, course)
         feed = np.clip(feed, self.limits.command_low, self.limits.command_high)
         return Commands(self.times, feed, lasts, self.pose, notes, course, self.law)
 
@@ -336,6 +340,10 @@ class Crowd:
 def _at_rest(rivals: Rivals, model: Model, begin: Array, condition: KnownCondition) -> list[Array]:
     """Commands (na,) under which a robot that need not start at rest may rest, the likeliest first."""
     found = [] if condition.pose else [rivals.rest]
-    with suppress(ModelError, NotAvailable):
-        found.append(Dynamics(model).holding(begin)[0])
+    # What holds a pose is the same without dry friction that grows with the load, which no equations hold.
+    loading = [own for own in model.effects if isinstance(own, ForceEffect) and own.loads]
+    for own in (model, replace(model, effects=tuple(e for e in model.effects if e not in loading))):
+        with suppress(ModelError, NotAvailable):
+            found.append(Dynamics(own).holding(begin)[0])
+            break
     return found if condition.pose else [*found, np.zeros(len(rivals.rest))]

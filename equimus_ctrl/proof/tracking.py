@@ -20,7 +20,7 @@ import numpy as np
 from scipy.interpolate import make_smoothing_spline
 
 from equimus_ctrl.engines.mjcf_realised import realise
-from equimus_ctrl.engines.mjcf_tracked import inertia_and_gains
+from equimus_ctrl.engines.mjcf_tracking import inertia_and_gains
 from equimus_ctrl.engines.trials import Trial
 from equimus_ctrl.errors import ConfigError
 from equimus_ctrl.models.model import Model
