@@ -118,6 +118,15 @@ def test_the_closed_loop_of_designs_is_that_of_runs(name: str, tmp_path: Path) -
     assert np.abs(done.run.position - done.run.reference).max() < 0.2
 
 
+def test_a_robot_that_begins_elsewhere_does_not_jump(tmp_path: Path) -> None:
+    law = law_at(ARM, POSE, 2.0, PERIOD)
+    path, *_ = file_of(tmp_path, law)
+    text = path.read_text()
+    path.write_text(text.replace("start.pos.elbow = -0.7", "start.pos.elbow = 0.9"))
+    said = refusal(lambda: eq.run_scenario("commands", model=ARM, options={"file": str(path)}))
+    assert "elbow is at 51.57° and its reference begins at -40.11°" in said and "would jump there" in said
+
+
 def test_a_file_says_the_law_to_the_bit_and_what_it_lacks(tmp_path: Path) -> None:
     law = law_at(ARM, POSE, 2.0, PERIOD)
     path, feed, reference = file_of(tmp_path, law)

@@ -9,6 +9,7 @@ import numpy as np
 
 from equimus_ctrl.engines.tracking_law import nothing_remembered, tracking_command
 from equimus_ctrl.errors import ControllerError
+from equimus_ctrl.robots.reading import reading
 from equimus_ctrl.types import Array, FeedbackLaw, Observation, PlantSpec, Reference, frozen_array
 
 
@@ -45,14 +46,26 @@ class TrackingController:
         """Nothing is remembered at first.
 
         Raises:
-            ControllerError: where the law is of another number of joints or actuators than the plant.
+            ControllerError: where the law is of another number of joints or actuators than the plant, or the robot is
+                so far from where the reference begins that the first command would leave its range.
         """
         wanted = len(spec.actuators), len(spec.joints)
         if self.law.stiffness.shape != wanted:
             raise ControllerError(
                 f"the feedback law has gains {self.law.stiffness.shape} from joints to actuators, expected {wanted}"
             )
-        return TrackingState(nothing_remembered(len(spec.joints)), spec)
+        state = TrackingState(nothing_remembered(len(spec.joints)), spec)
+        first = np.asarray(self.step(observation, self.reference, state)[0])
+        if np.any((first < spec.command_low) | (first > spec.command_high)):
+            wanted_pose = self.reference.position(observation.stamp)
+            off = np.abs(observation.position - wanted_pose)
+            j = int(np.argmax(off))
+            unit = reading(spec.joint_units[j])
+            raise ControllerError(
+                f"{spec.joints[j]} is at {unit.text(observation.position[j])} and its reference begins at "
+                f"{unit.text(wanted_pose[j])}; expected a robot that begins near its reference, for it would jump there"
+            )
+        return state
 
     def step(
         self, observation: Observation, reference: Reference, state: TrackingState

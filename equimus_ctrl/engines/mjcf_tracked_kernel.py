@@ -145,7 +145,9 @@ def advance_sample(
         carried[i, 1] = cursor
         for s in range(last - first):
             ctrl[first + s, i] = out[s, 0, i]
-    kept = whole[first : last + 1] if len(whole) > 0 else whole
+    kept = whole[:0]
+    if len(whole) > 0:
+        kept = whole[first : last + 1]
     sound = run_mjcf(
         step, model, data, places, laws, loss, fastest, ctrl[first:last], still, states, qpos, qvel, control, applied,
         frictionloss, driven, dt, np.empty((0, 2), dtype=np.int64), none, none, out_q[first : last + 1],
