@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from mjcf_models import cart, refusal
 from pendulum_runs import PENDULUM, SERVO
-from tracked_arms import ARM, POSE, arm_frictions, arm_limits
+from tracked_arms import ARM, POSE, arm_delays, arm_frictions, arm_limits
 
 import equimus_ctrl as eq
 from equimus_ctrl.effects import (
@@ -47,7 +47,7 @@ PERIOD = 1 / 125
 def swing(seconds: float = 1.6) -> tuple[Array, Array]:
     """Instants, and a reference of both joints from the pose and back."""
     times = np.arange(round(seconds / PERIOD)) * PERIOD
-    share = np.sin(np.pi * times / times[-1])[:, None] ** 2
+    share = np.sin(np.pi * times / times[-1])[:, None] ** 4
     return times, POSE + share * np.array([0.5, -0.4])
 
 
@@ -158,12 +158,9 @@ def test_a_file_says_the_law_to_the_bit_and_what_it_lacks(tmp_path: Path) -> Non
 def test_what_cannot_be_tracked_is_one_sentence() -> None:
     servo = Model(MjcfRobot("arm", PENDULUM.format(drive=SERVO)))
     assert "is a servo, which tracks by itself" in refusal(lambda: law_at(servo, np.zeros(1), 1.0, PERIOD))
-    none = Model(MjcfRobot("limp", ARM.robot.xml.partition("<actuator>")[0] + "</mujoco>"))
-    assert "has no actuator, so it cannot track references" in refusal(lambda: law_at(none, POSE, 1.0, PERIOD))
     wide = replace(arm_limits(), joint_low=np.array([-np.inf, -1.0]))
-    ground = Ground.of(arm_frictions(), arm_limits(), KnownCondition(), arm_frictions().simulator(1))
     assert "shoulder, which is to track a reference, has no range of its own; expected shoulder.low" in refusal(
-        lambda: wide.reference_bounds(ground.rest, np.ones(2))
+        lambda: wide.reference_bounds(POSE, np.ones(2))
     )
 
 
@@ -172,27 +169,27 @@ def test_an_acrobot_is_balanced_while_its_driven_joint_follows() -> None:
     drives = '<actuator><motor name="bend" joint="elbow" gear="2" ctrlrange="-9 9"/></actuator></mujoco>'
     xml = ARM.robot.xml.partition("<actuator>")[0].replace('range="-2.5 2.5"', 'range="-3 3"') + drives  # type: ignore[attr-defined]
     robot = Model(MjcfRobot("acrobot", xml))
-    times = np.arange(1000) * 0.004
-    reference = np.tile([-np.pi / 2, 0.0], (1000, 1))
-    reference[:, 1] = 0.15 * np.sin(np.pi * times / times[-1]) ** 2
+    times = np.arange(1500) * 0.004
+    reference = np.tile([-np.pi / 2, 0.0], (1500, 1))
+    reference[:, 1] = 0.15 * np.sin(np.pi * np.minimum(times / 4.0, 1.0)) ** 2
     reference = balanced(robot, reference)
     assert reference[0, 0] == pytest.approx(-np.pi / 2) and 0.02 < np.ptp(reference[:, 0]) < 0.15
     law = law_at(robot, reference[0], 1.0, 0.004)
     feed = fed_forward(robot, times, reference)
-    starts = np.array([[-np.pi / 2 + 0.01, 0.0, 0.0, 0.0]])
+    starts = np.array([[-np.pi / 2 + 0.002, 0.0, 0.0, 0.0]])
     trial = Trial("up", times, feed, feed[0], 0.0, reference[0], times)
     found = simulate_tracked([robot], trial, reference, law, starts=starts, threads=1)
     assert found.predicted.sound.all()
     away = np.abs(found.predicted.position[0] - reference)
-    assert away[-200:].max() < 0.02 < 0.15 > away.max()
+    assert away[-100:].max() < 0.005 < 0.15 > away.max()
 
 
 def test_an_arm_that_rests_nowhere_is_held_by_feedback() -> None:
-    rivals = arm_frictions()
+    rivals = arm_delays()
     ground = Ground.of(rivals, arm_limits(), KnownCondition(), rivals.simulator(1))
     assert ground.law is not None and np.array_equal(ground.rest, POSE)
-    (motions,) = ground.crowd([own.model for own in rivals.rivals]).motions([ground.trial(np.tile(POSE, (312, 1)))])
-    assert motions.command is not None and motions.command.shape == (2, 312, 2)
+    (motions,) = ground.crowd([own.model for own in rivals.rivals]).motions([ground.trial(np.tile(POSE, (300, 1)))])
+    assert motions.command is not None and motions.command.shape == (2, 300, 2)
     assert np.abs(motions.position - POSE).max() < 0.05
     slower = Ground.of(rivals, arm_limits(), KnownCondition(), rivals.simulator(1), track=1.0)
     assert slower.law is not None and np.all(np.abs(slower.law.stiffness) < np.abs(ground.law.stiffness))
@@ -200,9 +197,9 @@ def test_an_arm_that_rests_nowhere_is_held_by_feedback() -> None:
 
 def test_commands_that_feedback_asks_for_are_limits_too() -> None:
     rivals = arm_frictions()
-    ground = Ground.of(rivals, arm_limits(), KnownCondition(), rivals.simulator(1))
+    ground = Ground.of(rivals, arm_limits(), KnownCondition(), rivals.simulator(1), track=2.0)
     crowd = ground.crowd([own.model for own in rivals.rivals])
-    jump = np.tile(POSE, (312, 1))
+    jump = np.tile(POSE, (300, 1))
     jump[150:] += 1.0
     (motions,) = crowd.motions([ground.trial(jump)])
     found = arm_limits().excess(motions)
@@ -217,7 +214,7 @@ def test_commands_that_feedback_asks_for_are_limits_too() -> None:
 def test_models_are_compared_under_the_commands_that_the_true_one_was_given() -> None:
     rivals = arm_frictions()
     simulator = rivals.simulator(1)
-    ground = Ground.of(rivals, arm_limits(), KnownCondition(), simulator)
+    ground = Ground.of(rivals, arm_limits(), KnownCondition(), simulator, track=2.0)
     own = ground.commands(families(["steps"])[0], np.full(14, 0.7), 0.5)
     truth = rivals.rivals[0].model
     (recording,) = predicted_recordings(rivals, truth, [own], simulator)
@@ -228,7 +225,9 @@ def test_models_are_compared_under_the_commands_that_the_true_one_was_given() ->
     assert len(segments) == 5 and all(np.array_equal(s.trial.commands, recording.command) for s in segments)
     target = Target.of(rivals, truth, segments, simulator)
     for segment, values in zip(segments, target.values, strict=True):
-        assert np.abs(values - segment.measured).max() < 2e-3  # another engine, and starts that were read off
+        assert (
+            np.abs(values - segment.measured).max() < 0.01 < np.ptp(recording.position, axis=0).min()
+        )  # another engine, and starts that were read off
     first, second = (refitted(rival, target).cost for rival in rivals.rivals)
     assert first < 0.5 < 5 < second
 
@@ -238,7 +237,7 @@ def design() -> Designed:
     rivals = arm_frictions()
     return designed(
         rivals, arm_limits(), over_families=families(["steps", "multisine"]), evaluations=40, draws=19, refits=8,
-        simulator=rivals.simulator(1),
+        track=2.0, simulator=rivals.simulator(1),
     )  # fmt: skip
 
 
@@ -249,7 +248,7 @@ def test_a_design_of_references_decides_within_the_limits(tmp_path: Path) -> Non
     assert pair.ending in ("one trial", "repeats") and found.commands.law is not None
     reference = found.commands.course
     assert np.all(reference[0] == POSE) and np.all(reference[-1] == POSE) and np.ptp(reference, axis=0).max() > 0.05
-    ground = Ground.of(rivals, found.limits, found.condition, rivals.simulator(1))
+    ground = Ground.of(rivals, found.limits, found.condition, rivals.simulator(1), track=2.0)
     models = [own.model_at(t) for own in rivals.rivals for t in own.draws(np.random.default_rng(9), 25)]
     (motions,) = ground.crowd(models).motions([found.commands])
     assert motions.command is not None
@@ -272,6 +271,6 @@ def test_a_design_of_references_decides_within_the_limits(tmp_path: Path) -> Non
 
 @pytest.mark.slow
 def test_the_first_trial_of_an_unknown_arm_tracks_a_reference() -> None:
-    commands, amplitude, excess = first_trial(ARM, arm_limits(), 0, 9)
+    commands, amplitude, excess = first_trial(ARM, arm_limits(), 0, 9, track=2.0)
     assert commands.law is not None and amplitude > 0 and not excess.left
     assert np.ptp(commands.course, axis=0).min() > 0.01

@@ -9,7 +9,7 @@ import numpy as np
 from rival_legs import by_hand, part_of
 
 from equimus_ctrl.diagnosis.rivals import Rivals
-from equimus_ctrl.effects import CoulombFriction, ViscousFriction
+from equimus_ctrl.effects import CoulombFriction, SensorDelay, TransportDelay, ViscousFriction
 from equimus_ctrl.experiments.limits import Limits
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.robots.mjcf.robot import MjcfRobot
@@ -38,6 +38,18 @@ def arm_frictions() -> Rivals:
     return replace(found, rate=125.0, interval=0.5)
 
 
+@cache
+def arm_delays() -> Rivals:
+    """Late sensors or a late drive of the elbow: nothing damps the arm, so it rests under no command."""
+    found = by_hand(
+        ARM,
+        (part_of(SensorDelay, ("elbow",), delay=0.01),),
+        (part_of(TransportDelay, ("bend",), delay=0.01),),
+        names=("fore.mass",), known=0.05, start=(0.4, -0.7), rest=(0.0, 0.0),
+    )  # fmt: skip
+    return replace(found, rate=125.0, interval=0.5)
+
+
 def arm_limits(**more: str) -> Limits:
-    given = {"duration": "2.5", "shoulder.rate": "6", "elbow.rate": "6"}
+    given = {"duration": "2.4", "shoulder.rate": "6", "elbow.rate": "6"}
     return Limits.read(ARM.robot, None, {**given, **{key.replace("_", "."): value for key, value in more.items()}})

@@ -110,7 +110,7 @@ def balanced(model: Model, reference: Array) -> Array:
 def fed_forward(model: Model, times: Array, reference: Array) -> Array:
     """(n, na) commands under which a model would follow a reference (n, nj) at instants (n,), by inverse dynamics.
 
-    Rates and accelerations are differences of the reference. Drives count by their gains, what passes slowly through
+    Each is held until the next, so it is that for the middle between both. Rates and accelerations are differences of the reference. Drives count by their gains, what passes slowly through
     them as if it had arrived; effects that MuJoCo has no field for do not count.
     """
     own = realise(model)
@@ -118,7 +118,9 @@ def fed_forward(model: Model, times: Array, reference: Array) -> Array:
     rate = np.gradient(reference, times, axis=0)
     acceleration = np.gradient(rate, times, axis=0)
     _, by_command = inertia_and_gains(own, reference[0])
-    torques = [_needed(own, data, *row) for row in zip(reference, rate, acceleration, strict=True)]
+    middles = [0.5 * (own_motion + np.vstack([own_motion[1:], own_motion[-1:]])) for own_motion in
+               (reference, rate, acceleration)]  # fmt: skip
+    torques = [_needed(own, data, *row) for row in zip(*middles, strict=True)]
     return np.asarray(np.array(torques) @ np.linalg.pinv(by_command).T)
 
 
