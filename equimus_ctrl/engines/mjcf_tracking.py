@@ -110,8 +110,9 @@ def balanced(model: Model, reference: Array) -> Array:
 def fed_forward(model: Model, times: Array, reference: Array) -> Array:
     """(n, na) commands under which a model would follow a reference (n, nj) at instants (n,), by inverse dynamics.
 
-    Each is held until the next, so it is that for the middle between both. Rates and accelerations are differences of the reference. Drives count by their gains, what passes slowly through
-    them as if it had arrived; effects that MuJoCo has no field for do not count.
+    Each is held until the next, so it is that for the middle between both. Rates and accelerations are differences of
+    the reference. Drives count by their gains, what passes slowly through them as if it had arrived; effects that
+    MuJoCo has no field for do not count.
     """
     own = realise(model)
     data = mujoco.MjData(own.mujoco)

@@ -93,7 +93,7 @@ class Ground:
         except ConfigError as refused:
             try:
                 most = min(FASTEST, rivals.rate / SAMPLES_A_PERIOD)
-                return cls._held(rivals, limits, condition, simulator, most * 0.5 ** np.arange(SLOWER))
+                return cls._held(rivals, limits, condition, simulator, [most * 0.5**k for k in range(SLOWER)])
             except ConfigError as error:
                 raise ConfigError(f"{refused}; nor can it track references by feedback: {error}") from None
 
@@ -104,7 +104,7 @@ class Ground:
         limits: Limits,
         condition: KnownCondition,
         simulator: Simulator,
-        frequencies: Sequence[float] | Array,
+        frequencies: Sequence[float],
     ) -> Ground:
         """By feedback in the pose in which recordings began; of some frequencies by the first that holds all rivals."""
         robot = rivals.model.robot
@@ -137,7 +137,7 @@ class Ground:
         room = np.minimum(limits.command_high - held, held - limits.command_low)
         with np.errstate(divide="ignore"):
             found = (room[:, None] / np.abs(by_acceleration)).min(axis=0)
-        return np.maximum(found, LEAST_ACCELERATION)
+        return np.asarray(np.maximum(found, LEAST_ACCELERATION))
 
     def _unsteady(self) -> str:
         """A rival that feedback does not bring to rest within ``SETTLING``, by its name; empty where there is none."""

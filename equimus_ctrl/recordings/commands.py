@@ -149,7 +149,7 @@ def _law(sheet: Sheet, actuators: Sequence[str], joints: Sequence[str]) -> Feedb
             continue
         prefix = next((own for own in found if key.startswith(own)), None)
         if prefix is None:
-            raise RecordingError(unknown_name("note", key, [SMOOTHING, STIFFNESS + "ACTUATOR.JOINT"], sheet.path))
+            raise RecordingError(unknown_name("note", key, [SMOOTHING, STIFFNESS + "ACTUATOR.JOINT"], str(sheet.path)))
         if (place := key.removeprefix(prefix)) not in places:
             raise RecordingError(unknown_name("actuator and joint", place, places, where))
         found[prefix][places[place]] = value
