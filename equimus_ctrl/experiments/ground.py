@@ -73,7 +73,8 @@ class Ground:
         """Where the robot rests under the condition.
 
         It rests under the command that was in force before its recordings, where it does; else under that which holds
-        the pose in which they began, or under none. Where it rests under none of them, it is held by feedback.
+        the pose in which they began, or under none. Where it rests under none of them within the limits of its joints,
+        it is held by feedback.
 
         Args:
             rivals: between which an experiment is to decide.
@@ -166,12 +167,17 @@ class Ground:
         for joint, value in condition.pose.items():
             begin[robot.joint_names.index(joint)] = value
         refused: ConfigError | None = None
+        # Let go by the noise beside it, so that a pose in which it is balanced but does not stay is none to rest in.
+        beside = begin + np.array([own.sigma for own in rivals.noise[: len(begin)]])
         for command in _at_rest(rivals, here, begin, condition):
             try:
                 own = np.clip(command, low, high)
-                pose = resting(rivals, here, own, simulator, begin)
+                pose = resting(rivals, here, own, simulator, beside)
             except ConfigError as error:
                 refused = refused or error
+                continue
+            if outside := limits.rests_outside(pose):
+                refused = refused or ConfigError(f"{robot.name} rests under a constant command with {outside}")
                 continue
             if all(abs(pose[robot.joint_names.index(j)] - v) <= THERE for j, v in condition.pose.items()):
                 return cls(rivals, limits, condition, simulator, own, pose)

@@ -327,6 +327,18 @@ class Limits:
             np.minimum(low, rest), np.maximum(high, rest), rest, self.joint_rate, acceleration, self.before, self.after,
         )  # fmt: skip
 
+    def rests_outside(self, pose: Array) -> str:
+        """Which joint is beyond its range in a pose (nj,), by more than an end gives way, as a clause; else empty."""
+        span = self.joint_high - self.joint_low
+        room = GIVE * np.where(np.isfinite(span), span, 0.0)
+        beyond = np.maximum(self.joint_low - room - pose, pose - self.joint_high - room)
+        j = int(np.argmax(beyond))
+        if beyond[j] <= 0:
+            return ""
+        own = reading(self.robot.joint_units[j])
+        low, high = (own.text(float(side[j])) for side in (self.joint_low, self.joint_high))
+        return f"{self.robot.joint_names[j]} at {own.text(float(pose[j]))}, outside {low} to {high}"
+
     def excess(self, motions: Motions) -> Excess:
         """By how much motions leave the limits of joints, each in units of its limit's range.
 
