@@ -37,6 +37,7 @@ from equimus_ctrl.experiments.refitting import Target, refitted
 from equimus_ctrl.experiments.results import Designed
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.recordings import CommandFile, read_commands, write_commands
+from equimus_ctrl.report.experiment_figures import design_drawings
 from equimus_ctrl.robots.mjcf.robot import MjcfRobot
 from equimus_ctrl.types import Array, FeedbackLaw
 from equimus_ctrl.workflow.experiments import write_design
@@ -265,6 +266,8 @@ def test_a_design_of_references_decides_within_the_limits(tmp_path: Path) -> Non
     files = write_design(found, tmp_path / "next", figures=False)
     done = eq.run_scenario("commands", model=rivals.rivals[0].model, nominal=ARM, options={"file": str(files.commands)})
     assert done.controller == "tracking" and not done.run.clipped.any()
+    for draw in design_drawings(found).values():
+        assert draw().axes
     again = found.to_dict()
     assert again["law"]["stiffness"] == found.commands.law.stiffness.tolist()
 
