@@ -65,19 +65,22 @@ PARTS = {
 
 @dataclass(frozen=True, eq=False)
 class Motions:
-    """What several models do under the same commands.
+    """What several models do under the same commands, or along the same reference.
 
     Attributes:
         times: (n,) [s].
         position: (k, n, nj) true positions [rad or m]; nan where a simulation was lost.
         rate: (k, n, nj) [rad/s or m/s].
         rest: (k, nj) where each rests [rad or m].
+        command: (k, n, na) what feedback asks for, where joints track references; nan where a simulation was lost. None
+            where commands are the same for all and keep their limits by construction.
     """
 
     times: Array
     position: Array
     rate: Array
     rest: Array
+    command: Array | None = None
 
     @classmethod
     def of(cls, predicted: Sequence[Predicted], times: Array) -> Motions:
@@ -102,14 +105,15 @@ class Excess:
     """By how much motions leave limits.
 
     Attributes:
-        by: (3 nj,) how far beyond each limit the farthest motion goes, in units of the limit's range; at most 0 within.
-            First the lower ends of all joints, then the upper ones, then their rates; +inf where a simulation was lost.
-        names: (3 nj,) of the limits.
-        values: (3 nj,) what was reached there, and (3 nj,) ``limits`` what may be.
+        by: (m,) how far beyond each limit the farthest motion goes, in units of the limit's range; at most 0 within.
+            First the lower ends of all joints, then the upper ones, then their rates, and behind them the same of
+            commands that feedback asks for, with their accelerations; +inf where a simulation was lost.
+        names: (m,) of the limits.
+        values: (m,) what was reached there, and (m,) ``limits`` what may be.
         limits: what may be.
-        units: (3 nj,) SI units of both.
-        when: (3 nj,) instants at which each is left farthest, or come nearest to [s].
-        model: (3 nj,) which model does so.
+        units: (m,) SI units of both.
+        when: (m,) instants at which each is left farthest, or come nearest to [s].
+        model: (m,) which model does so.
     """
 
     by: Array
@@ -135,7 +139,7 @@ class Excess:
         k = int(self.by.argmax())
         if self.by[k] == -math.inf:
             return "no joint has one"
-        if math.isinf(self.by[k]):
+        if math.isinf(self.by[k]) or math.isnan(self.values[k]):
             return f"the simulation of model {self.model[k]} is lost at {self.when[k]:.3g} s"
         unit, _, per = self.units[k].partition("/")
         own = reading(unit)
@@ -290,20 +294,60 @@ class Limits:
         Raises:
             ConfigError: where a range has no end.
         """
-        robot = self.robot
-        for i, name in enumerate(robot.actuator_names):
-            if not (np.isfinite(self.command_low[i]) and np.isfinite(self.command_high[i])):
-                raise ConfigError(
-                    f"{robot.name}: commands of {name} have no limits of their own; expected {name}.low and "
-                    f"{name}.high in --limits"
-                )
+        self._check_commands()
         return CommandBounds(
             self.command_low, self.command_high, rest, self.command_rate, self.command_acceleration, self.before,
             self.after,
         )  # fmt: skip
 
+    def _check_commands(self) -> None:
+        """Raise ConfigError where commands of an actuator have no limits."""
+        for i, name in enumerate(self.robot.actuator_names):
+            if not (np.isfinite(self.command_low[i]) and np.isfinite(self.command_high[i])):
+                raise ConfigError(
+                    f"{self.robot.name}: commands of {name} have no limits of their own; expected {name}.low and "
+                    f"{name}.high in --limits"
+                )
+
+    def reference_bounds(self, rest: Array, acceleration: Array) -> CommandBounds:
+        """Of references of joints, see ``families``: their ranges less the margins, and their rates.
+
+        Args:
+            rest: (nj,) where they rest [rad or m].
+            acceleration: (nj,) that may be asked for [rad/s² or m/s²].
+
+        Raises:
+            ConfigError: where a range has no end.
+        """
+        robot = self.robot
+        self._check_commands()
+        low, high = self.joint_low + self.joint_margin, self.joint_high - self.joint_margin
+        for j, name in enumerate(robot.joint_names):
+            if not (np.isfinite(low[j]) and np.isfinite(high[j])):
+                raise ConfigError(
+                    f"{robot.name}: {name}, which is to track a reference, has no range of its own; expected "
+                    f"{name}.low and {name}.high in --limits"
+                )
+        return CommandBounds(
+            np.minimum(low, rest), np.maximum(high, rest), rest, self.joint_rate, acceleration, self.before, self.after,
+        )  # fmt: skip
+
+    def rests_outside(self, pose: Array) -> str:
+        """Which joint is beyond its range in a pose (nj,), by more than an end gives way, as a clause; else empty."""
+        span = self.joint_high - self.joint_low
+        room = GIVE * np.where(np.isfinite(span), span, 0.0)
+        beyond = np.maximum(self.joint_low - room - pose, pose - self.joint_high - room)
+        j = int(np.argmax(beyond))
+        if beyond[j] <= 0:
+            return ""
+        own = reading(self.robot.joint_units[j])
+        low, high = (own.text(float(side[j])) for side in (self.joint_low, self.joint_high))
+        return f"{self.robot.joint_names[j]} at {own.text(float(pose[j]))}, outside {low} to {high}"
+
     def excess(self, motions: Motions) -> Excess:
         """By how much motions leave the limits of joints, each in units of its limit's range.
+
+        Where commands follow from feedback, also by how much these leave theirs.
 
         A joint may go as far as its range less the margin; one that rests beyond that as far as it rests, and a little
         farther, for an end gives way (``GIVE``).
@@ -316,21 +360,47 @@ class Limits:
         high = np.where(rest > high, np.maximum(high, rest + GIVE * span), high)
         speed = np.where(np.isfinite(self.joint_rate), self.joint_rate, 1.0)
         beyond = np.concatenate([(low - q) / span, (q - high) / span, (np.abs(v) - self.joint_rate) / speed], axis=2)
-        lost = ~np.isfinite(np.concatenate([q, q, v], axis=2))
-        beyond = np.where(lost, np.inf, beyond)
-        flat = beyond.reshape(-1, beyond.shape[2])  # (k n, 3 nj)
-        at = flat.argmax(axis=0)
-        model, row = np.divmod(at, len(motions.times))
-        every = np.arange(flat.shape[1])
-        reached = np.concatenate([q, q, np.abs(v)], axis=2)[model, row, every]
+        reached = np.concatenate([q, q, np.abs(v)], axis=2)
         may = np.concatenate(np.broadcast_arrays(low, high, self.joint_rate), axis=2)
         names = [f"{joint} {what}" for what in ("below its range", "above its range", "too fast") for joint in
                  robot.joint_names]  # fmt: skip
-        units = (*robot.joint_units, *robot.joint_units, *(f"{unit}/s" for unit in robot.joint_units))
+        units = [*robot.joint_units, *robot.joint_units, *(f"{unit}/s" for unit in robot.joint_units)]
+        if motions.command is not None:
+            of_commands = self._of_commands(motions.command, motions.times)
+            beyond, reached = (
+                np.concatenate(both, axis=2) for both in zip((beyond, reached), of_commands, strict=True)
+            )
+            ends = np.concatenate(
+                [self.command_low, self.command_high, self.command_rate, self.command_acceleration]
+            )  # fmt: skip
+            may = np.concatenate([may, np.broadcast_to(ends, (*may.shape[:2], len(ends)))], axis=2)
+            whats = ("below its range", "above its range", "too fast", "too sudden")
+            names += [f"command of {own} {what}" for what in whats for own in robot.actuator_names]
+            units += [f"{unit}{per}" for per in ("", "", "/s", "/s²") for unit in robot.command_units]
+        beyond = np.where(np.isfinite(reached), beyond, np.inf)
+        flat = beyond.reshape(-1, beyond.shape[2])  # (k n, m)
+        at = flat.argmax(axis=0)
+        model, row = np.divmod(at, len(motions.times))
+        every = np.arange(flat.shape[1])
         return Excess(
-            flat[at, every], tuple(names), reached, may[model, 0, every], units, motions.times[row],
-            tuple(int(k) for k in model),
+            flat[at, every], tuple(names), reached[model, row, every], may[model, 0, every], tuple(units),
+            motions.times[row], tuple(int(k) for k in model),
         )  # fmt: skip
+
+    def _of_commands(self, command: Array, times: Array) -> tuple[Array, Array]:
+        """(k, n, 4 na) by how much commands (k, n, na) leave their limits, in units of these, and what they reach."""
+        steps = np.diff(times)[:, None]
+        rates = np.diff(command, axis=1, prepend=command[:, :1]) / np.vstack([steps[:1], steps])
+        turning = np.diff(rates, axis=1, prepend=rates[:, :1]) / np.vstack([steps[:1], steps])
+        span = self.command_high - self.command_low
+        span, most, sudden = (np.where(np.isfinite(x), x, 1.0) for x in (span, self.command_rate,
+                                                                        self.command_acceleration))  # fmt: skip
+        reached = [command, command, np.abs(rates), np.abs(turning)]
+        beyond = [
+            (self.command_low - command) / span, (command - self.command_high) / span,
+            (reached[2] - self.command_rate) / most, (reached[3] - self.command_acceleration) / sudden,
+        ]  # fmt: skip
+        return np.concatenate(beyond, axis=2), np.concatenate(reached, axis=2)
 
 
 def shrunk(motions: Callable[[float], Motions], limits: Limits, near: float = NEAR) -> tuple[float, Excess]:
