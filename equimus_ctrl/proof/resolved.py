@@ -222,7 +222,7 @@ class Resolved:
     @property
     def goals(self) -> tuple[Goal, ...]:
         """All of them."""
-        after = f"after {self.most} designed trial{'s' * (self.most > 1)}: right or told inseparable"
+        after = f"after {self.most} designed trial{'s' * (self.most > 1)}: right or not distinguishable"
         return (
             counted_goal("resolved", after, self.shares()[-1], LEAST_RIGHT),
             counted_goal("gaps", "realised gaps within a factor of 2, and noise", self.near, LEAST_NEAR),
