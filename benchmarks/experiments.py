@@ -87,10 +87,11 @@ class Arm:
         last = outcome(Case(truth, first, {}, places))
         for k in range(1, self.count + 1):
             left = report.get("rivals") or first["rivals"]
+            rivals = Rivals.from_dict(left, model)
             try:
-                design = self.design(k, case, Rivals.from_dict(left, model))
+                design = self.design(k, case, rivals)
                 if isinstance(design, Commands):
-                    design = trial_design(source, robot, design, k, left["rate_hz"], left["linear"])
+                    design = trial_design(source, robot, design, k, rivals.rate, rivals.notes)
                 made.append(further(source, robot, replace(design, name=f"added_{k:02d}"), k).recording)
             except (ConfigError, NothingFeasible, SimulationDiverged):  # it keeps its answer
                 break

@@ -209,7 +209,7 @@ def scaled_sensor() -> Any:
 def test_limits_are_judged_by_the_true_motion_not_by_what_sensors_show() -> None:
     source, robot = Legs(1, 2.0, 480.0, "poor"), scaled_sensor()
     levels = np.array([[12e3, 8e3], [22e3, 2e3]])
-    own = trial_design(source, robot, Commands(np.array([0.0, 0.5]), levels, 2.0), 1, 120.0, False)
+    own = trial_design(source, robot, Commands(np.array([0.0, 0.5]), levels, 2.0), 1, 120.0, {})
     assert own.name == "designed_01" and np.array_equal(own.command[[0, -1]], levels)
     made = further(source, robot, own, 1)
     shown, motion = made.recording.position, made.motion
@@ -303,7 +303,7 @@ class World:
 
     def design(self, case: int, number: int, made: dict[str, Any]) -> dict[str, Any]:
         proof = {"seconds": 30.0, "cpu_seconds": 30.0, **made}
-        known = {"rate_hz": 120.0, "linear": False, "said": "", "design": {"family": "steps"}, "proof": proof}
+        known = {"rate_hz": 120.0, "notes": {}, "said": "", "design": {"family": "steps"}, "proof": proof}
         if number > 1:
             return {**known, "end": "resolved", "commands": None, "predicted": []}
         commands = {"times": [0.0], "commands": [[1e4, 1e4]], "duration_s": 6.0, "start": None, "notes": {}}
@@ -412,7 +412,12 @@ def test_the_command_prints_tables_and_draws_the_figure(
     assert main([*given, "--json"]) == 0
     out, err = capsys.readouterr()
     assert json.loads(out)["experiments"]["right"][1]["count"] == 2
-    for text in ("right or not distinguishable", "trial 1: designs: 2 of 2", "limits kept by the true robot", "SHA-256"):
+    for text in (
+        "right or not distinguishable",
+        "trial 1: designs: 2 of 2",
+        "limits kept by the true robot",
+        "SHA-256",
+    ):
         assert text in err, text
     assert "Answers after designed trials" in (tmp_path / "score.md").read_text()
 

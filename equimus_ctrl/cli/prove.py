@@ -129,13 +129,10 @@ def prove(
     first = experiment_sheets(found.experiments) if found.experiments else ()
     presets.write_text(files[1], markdown(_head(found), found.score, first))
     if figures and options.shard is None:
-        from equimus_ctrl.report.proof_figures import save_proof_figures
+        from equimus_ctrl.report import style
+        from equimus_ctrl.workflow.figures import drawings
 
-        files += save_proof_figures(found.score, folder)
-        if found.experiments is not None:
-            from equimus_ctrl.report.proof_experiments import save_experiments_figure
-
-            files.append(save_experiments_figure(found.experiments, folder))
+        files += style.save_all(drawings(found), folder)
     _print(console, found)
     print_files(console, files)
     if as_json:

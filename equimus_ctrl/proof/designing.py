@@ -60,7 +60,7 @@ class Design:
         commands: of it; None where there is none.
         predicted: what it is expected to distinguish.
         rate: of the recordings so far [1/s].
-        linear: whether commands go along a line from each to the next.
+        notes: that recordings of it have to have, see ``Rivals.notes``.
         end: why there is none by itself, see ``End``; None where there is one.
         said: the same as a sentence.
         seconds: that the design took.
@@ -69,7 +69,7 @@ class Design:
     commands: Commands | None
     predicted: tuple[Predicted, ...]
     rate: float
-    linear: bool
+    notes: Mapping[str, str]
     end: End | None
     said: str
     seconds: float
@@ -85,8 +85,8 @@ class Design:
                 np.array(own["times"]), np.array(own["commands"]), own["duration_s"], start, own["notes"]
             )
         predicted = tuple(Predicted.from_dict(pair) for pair in data["predicted"])
-        rate, linear = data["rate_hz"], data["linear"]
-        return cls(commands, predicted, rate, linear, data["end"], data["said"], data["proof"]["seconds"])
+        rate, notes = data["rate_hz"], data["notes"]
+        return cls(commands, predicted, rate, notes, data["end"], data["said"], data["proof"]["seconds"])
 
     def ends(self, left: int) -> End | None:
         """Why no trial is made; None where one is.
@@ -116,7 +116,7 @@ def next_trial(
     keep_freed_memory()
     rivals = Rivals.from_dict(left, model)
     found: dict[str, Any] = {
-        "end": None, "said": "", "commands": None, "predicted": [], "rate_hz": rivals.rate, "linear": rivals.linear,
+        "end": None, "said": "", "commands": None, "predicted": [], "rate_hz": rivals.rate, "notes": rivals.notes,
     }  # fmt: skip
     if len(rivals.rivals) == 1:
         found |= {"end": "resolved", "said": f"one explanation is left: {rivals.rivals[0].label}"}

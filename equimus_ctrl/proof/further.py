@@ -44,7 +44,12 @@ class Made:
 
 
 def trial_design(
-    source: CaseSource, ground_truth: GroundTruth, commands: Commands, number: int, rate: float, linear: bool
+    source: CaseSource,
+    ground_truth: GroundTruth,
+    commands: Commands,
+    number: int,
+    rate: float,
+    notes: Mapping[str, str],
 ) -> TrialDesign:
     """Designed commands as a trial of a robot.
 
@@ -54,16 +59,15 @@ def trial_design(
         commands: that are given.
         number: of the trial, from 1 on.
         rate: of the recordings so far [1/s].
-        linear: whether commands go along a line from each to the next.
+        notes: of these that say how they are fitted and whether commands go along lines, see ``Rivals.notes``.
     """
     rng = stream(ground_truth.seed + number * APART, ground_truth.case, DESIGN)
     times = source.sample_times(rng, commands.duration, rate)
-    notes = {**commands.notes, **({"interpolation": "linear"} if linear else {})}
-    if linear:
+    if notes.get("interpolation") == "linear":
         rows = along(times, commands.times, commands.commands)
     else:  # a command that begins at a sample holds there, whatever rounding makes of the instant
         rows = commands.commands[np.searchsorted(commands.times, times + 1e-6 / rate, side="right") - 1]
-    return TrialDesign(trial_name(number), "designed", times, rows, commands.start, notes)
+    return TrialDesign(trial_name(number), "designed", times, rows, commands.start, {**notes, **commands.notes})
 
 
 def further(source: CaseSource, ground_truth: GroundTruth, design: TrialDesign, number: int) -> Made:
@@ -114,7 +118,7 @@ def make_trial(
     source, robot = request.source, redrawn(request, truth)
     try:
         made = further(
-            source, robot, trial_design(source, robot, design.commands, number, design.rate, design.linear), number
+            source, robot, trial_design(source, robot, design.commands, number, design.rate, design.notes), number
         )
     except (ModelError, SimulationDiverged) as error:
         return None, {"failed": str(error)}

@@ -185,6 +185,11 @@ class Resolved:
         own = [f for f in self.followed if of(f.cases[0])]
         return tuple(Share.among(f.outcome(k) in which for f in own) for k in range(self.most + 1))
 
+    def told(self) -> str:
+        """Right answers after each number of trials, as a clause."""
+        shares = ", ".join(f"{share.count}" for share in self.shares())
+        return f"right or not distinguishable after 0 to {self.most} designed trials: {shares} of {len(self.followed)}"
+
     @cached_property
     def gaps(self) -> tuple[Gap, ...]:
         """Of all trials whose predictions could be judged."""

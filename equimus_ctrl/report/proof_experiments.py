@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -109,10 +108,9 @@ def each_sheet(found: Resolved) -> Sheet:
     return Sheet("Cases that were not exactly right throughout", columns, tuple(rows), note)
 
 
-def save_experiments_figure(found: Resolved, folder: Path) -> Path:
-    """Write experiments.png."""
-    (path,) = style.save_all({"experiments": lambda: experiments_figure(found)}, folder)
-    return path
+def experiment_drawings(found: Resolved) -> style.Drawings:
+    """Shares over trials beside gaps."""
+    return {"experiments": lambda: experiments_figure(found)}
 
 
 def experiments_figure(found: Resolved) -> Figure:

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any, TypeVar
@@ -112,7 +112,6 @@ class Further:
     limits: Limits
     progress: Callable[[str, int, int], None]
     say: Callable[[str], None]
-    _sealed: dict[str, str] = field(default_factory=dict)
 
     @property
     def designing(self) -> Designing:
@@ -133,8 +132,8 @@ class Further:
             going = {case: chain for case in going if (chain := self._chain(case, number, "driven")).end is None}
             self._stage(executor, number, "answers", going, self._to_diagnose, blind.answer_with)
 
-    def seal_answers(self, name: str) -> None:
-        """Write SHA-256 of all answers, and say theirs: from then on none can be changed unseen."""
+    def seal_answers(self, name: str) -> str:
+        """Write SHA-256 of all answers into a file, and say theirs: from then on none can be changed unseen."""
         lines = [
             f"{own.sha256}  case_{case:04d} after {number}\n"
             for case in self.seals
@@ -142,11 +141,15 @@ class Further:
         ]
         whole = hashlib.sha256("".join(lines).encode()).hexdigest()
         presets.write_text(self.request.root / f"{name}.txt", f"{whole}  all\n{''.join(lines)}")
-        self._sealed["answers"] = whole
         self.say(f"all answers after 0 to {self.options.experiments} designed trials are there; SHA-256: {whole}")
+        return whole
 
-    def resolved(self, truths: Sequence[Mapping[str, Any]]) -> Resolved:
-        """What the trials came to, with the truths of all cases.
+    def resolved(self, truths: Sequence[Mapping[str, Any]], answers: str) -> Resolved:
+        """What the trials came to.
+
+        Args:
+            truths: of all cases.
+            answers: SHA-256 of all answers, see ``seal_answers``.
 
         Raises:
             ConfigError: where the recording of a designed trial was changed.
@@ -164,7 +167,7 @@ class Further:
             parts = ([own.data for own in several] for several in (chain.reports, chain.designs, chain.driven))
             found.append(followed(truth, *parts, chain.end, self.request.model.robot))
         margin = 1.0 / (self.designing.draws + 1)
-        return Resolved(most, tuple(found), margin, self._sealed["answers"])
+        return Resolved(most, tuple(found), margin, answers)
 
     # --- what is there
 

@@ -84,7 +84,8 @@ class Proof(Short):
 
     def told(self) -> str:
         """The robot, and the score."""
-        return f" of the diagnosis on {self.request.model.name}, seed {self.request.seed}:{self.score.told()}"
+        told = f" of the diagnosis on {self.request.model.name}, seed {self.request.seed}:{self.score.told()}"
+        return told + (f"; {self.experiments.told()}" if self.experiments else "")
 
     def to_dataframe(self) -> DataFrame:
         """A row for each case: its ground truth, what was said of it, whether that is right.
@@ -183,8 +184,8 @@ def prove(
         more = None if limits is None else Further(request, seals, options, limits, progress, say)
         if more is not None:
             more.carry_out(executor)
-    if more is not None:  # before any truth is opened
-        more.seal_answers(shard_name("answers", options.shard))
+    # Before any truth is opened.
+    answers = "" if more is None else more.seal_answers(shard_name("answers", options.shard))
     if options.shard is not None:
         note_shard(request, options, baselines, whole)
     progress(STAGES[2], 0, len(cases))
@@ -195,7 +196,7 @@ def prove(
     reports = [read_answer(request.report(case)) for case in cases]
     others = [read_answer(request.baselines(case))["answers"] if baselines else {} for case in cases]
     found = score(truths, reports, others, request.model.robot)
-    resolved = None if more is None else more.resolved(truths)
+    resolved = None if more is None else more.resolved(truths, answers)
     return Proof(request, whole, found, tuple(notes), time.perf_counter() - begun, options.shard, resolved)
 
 
