@@ -226,6 +226,18 @@ def test_limits_are_judged_by_the_true_motion_not_by_what_sensors_show() -> None
     assert far > 0.05 or speed > 0.1  # it moved
 
 
+def test_a_known_condition_is_one_of_the_true_robot() -> None:
+    source = Legs(1, 2.0, 480.0, "poor")
+    drawn = source.draw(5, 0, "none")
+    times, rows = np.arange(60) / 120.0, np.tile([15e3, 6e3], (60, 1))
+    usual, loaded = (
+        further(source, drawn, TrialDesign("more", "steps", times, rows, None, notes), 1)
+        for notes in ({}, {"payload.foot": "0.3"})
+    )
+    assert loaded.recording.notes == {"payload.foot": "0.3"}
+    assert np.abs(usual.motion - loaded.motion).max() > 0.05  # it rests elsewhere
+
+
 def test_further_trials_repeat_and_differ_from_each_other() -> None:
     source = Legs(1, 2.0, 480.0, "poor")
     drawn = source.draw(5, 0, "none")

@@ -85,6 +85,7 @@ class ProveOptions:
             those before leaves.
         limits: file that says what designed trials must not leave; the robot's own limits by default.
         limit: one of them by its name, before what the file says: ``{"knee.margin": "0.1"}``.
+        can: known conditions that can be had in designed trials, see ``experiments.conditions``.
         evaluations: of designs of each; by default as many as the engine does in about half a minute.
         track: frequency of controllers that keep an MJCF robot near the recorded motion [Hz]; by default its commands
             are given as recorded.
@@ -145,6 +146,13 @@ class ProveOptions:
         "With --experiments: one of them by its name, in SI units, such as knee.margin=0.1; repeatable.",
         metavar="KEY=VALUE",
         read=limit_of,
+    )
+    can: Sequence[str] = option(
+        (),
+        NAMES,
+        "With --experiments: a known condition that can be had in designed trials, as of experiment design; "
+        "repeatable.",
+        metavar="CONDITION",
     )
     evaluations: int | None = option(
         None, int | None, "With --experiments: designs that are tried for each trial.", shown=False

@@ -12,6 +12,7 @@ import numpy as np
 from equimus_ctrl.computer import keep_freed_memory
 from equimus_ctrl.diagnosis.rivals import Rivals
 from equimus_ctrl.errors import EquimusError, one_line
+from equimus_ctrl.experiments.conditions import KnownCondition
 from equimus_ctrl.experiments.design import LIMIT_DRAWS, designed
 from equimus_ctrl.experiments.limits import Limits
 from equimus_ctrl.experiments.loop import Predicted, worth_making
@@ -35,11 +36,13 @@ class Designing:
         limits: that they keep, with their duration.
         evaluations: of designs; as many as usual by default.
         draws: of each rival's parameters through which the design is taken.
+        conditions: known ones that can be had.
     """
 
     limits: Limits
     evaluations: int | None = None
     draws: int = LIMIT_DRAWS
+    conditions: tuple[KnownCondition, ...] = (KnownCondition(),)
 
     @property
     def fingerprint(self) -> str:
@@ -49,7 +52,9 @@ class Designing:
             for f in fields(Limits)
             if f.name != "robot"
         }
-        return fingerprint(repr((own, self.evaluations, self.draws)), (*PARTS, "experiments"))
+        return fingerprint(
+            repr((own, self.evaluations, self.draws, [c.text for c in self.conditions])), (*PARTS, "experiments")
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -125,7 +130,7 @@ def next_trial(
         try:
             own = designed(
                 rivals, designing.limits, seed=seed, evaluations=designing.evaluations, draws=designing.draws,
-                simulator=rivals.simulator(1),
+                conditions=designing.conditions, simulator=rivals.simulator(1),
             )  # fmt: skip
             found |= {
                 "commands": {

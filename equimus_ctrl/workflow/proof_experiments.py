@@ -21,6 +21,7 @@ from equimus_ctrl import presets
 from equimus_ctrl.errors import ConfigError
 from equimus_ctrl.executors.base import Executor
 from equimus_ctrl.executors.calls import Ended
+from equimus_ctrl.experiments.conditions import known_conditions
 from equimus_ctrl.experiments.limits import Limits
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.options import DesignOptions, ProveOptions
@@ -46,11 +47,12 @@ def further_limits(options: ProveOptions, model: Model) -> Limits | None:
         ConfigError: where commands have no limits, or a limit cannot be.
     """
     if not options.experiments:
-        given = [n for n in ("limits", "limit", "evaluations") if getattr(options, n)]
-        if given and (options.excites == "rich" or given == ["evaluations"]):
-            raise ConfigError(f"--{given[0]} is for designed trials; expected --experiments with it")
+        given = [n for n in ("limits", "limit", "can", "evaluations") if getattr(options, n)]
+        if given and (options.excites == "rich" or given[-1] in ("can", "evaluations")):
+            raise ConfigError(f"--{given[-1]} is for designed trials; expected --experiments with it")
         return None
     found = limits_for(DesignOptions(limits=options.limits, limit=options.limit), model.robot)
+    known_conditions(options.can, model)
     found.bounds(np.zeros(len(model.robot.actuator_names)))  # commands without limits are told before anything is done
     return found
 
@@ -116,7 +118,8 @@ class Further:
     @property
     def designing(self) -> Designing:
         """How trials are designed."""
-        return Designing(self.limits, self.options.evaluations)
+        conditions = known_conditions(self.options.can, self.request.model)
+        return Designing(self.limits, self.options.evaluations, conditions=conditions)
 
     def carry_out(self, executor: Executor) -> None:
         """Design, make and diagnose trials that are not there yet.
