@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from equimus_ctrl.errors import ModelError, SimulationDiverged
+from equimus_ctrl.experiments.ground import LEAD
 from equimus_ctrl.experiments.limits import Excess, Limits, Motions
 from equimus_ctrl.experiments.predicted import Commands
 from equimus_ctrl.proof.designing import Design
@@ -73,6 +74,9 @@ def trial_design(
 def further(source: CaseSource, ground_truth: GroundTruth, design: TrialDesign, number: int) -> Made:
     """One trial more, its commands given as they are.
 
+    A robot that does not settle by itself under the first command is held by that for ``ground.LEAD`` before, as
+    designs take it to be: so it begins where it rests itself, not where the nominal one does.
+
     Args:
         source: of the case.
         ground_truth: of it.
@@ -86,9 +90,23 @@ def further(source: CaseSource, ground_truth: GroundTruth, design: TrialDesign, 
     seed, case = ground_truth.seed + number * APART, ground_truth.case
     places = ground_truth.rest_bias.shape[1]
     bias = stream(seed, case, FURTHER).uniform(-0.8, 0.8, (1, places))
-    found = source.open_loop.driven(replace(ground_truth, trials=(design,), rest_bias=bias, seed=seed))
+    whole = design if design.settles else _held_before(design)
+    found = source.open_loop.driven(replace(ground_truth, trials=(whole,), rest_bias=bias, seed=seed))
     (recording,) = source.recorded(found.ground_truth, found.shown)
-    return Made(recording, found.motion[0])
+    before = len(whole.time) - len(design.time)
+    recording = replace(
+        recording, time=design.time, command=recording.command[before:], position=recording.position[before:]
+    )
+    return Made(recording, found.motion[0][before:])
+
+
+def _held_before(design: TrialDesign) -> TrialDesign:
+    """The same after its first command was in force for a while."""
+    return replace(
+        design,
+        time=np.concatenate([[0.0], design.time + LEAD]),
+        command=np.concatenate([design.command[:1], design.command]),
+    )
 
 
 def trial_name(number: int) -> str:
