@@ -159,7 +159,7 @@ def driven(ground_truth: GroundTruth, rate: float = RATE) -> Driven:
     if not (np.all(np.isfinite(q)) and np.all(np.abs(v) < MAX_SPEED)):
         raise SimulationDiverged(f"case {ground_truth.case} of seed {ground_truth.seed}: the simulation diverged")
     sensors = sensor_settings(model.effects, robot.joint_names)
-    clean, motion, steps_at = [], [], dt * np.arange(q.shape[1])
+    clean, motion, steps_at = [], [], np.asarray(dt * np.arange(q.shape[1]), dtype=np.float64)
     for k, trial in enumerate(ground_truth.trials):
         motion.append(along(trial.time, steps_at, np.concatenate([q[k], v[k]], axis=1)))
         seen = np.empty((len(trial.time), q.shape[2]))

@@ -134,7 +134,7 @@ class Stepped:
             course, command = _follow(own, trial, self._applied, tracking)
         if course.sound < len(course.q):
             raise SimulationDiverged(f"case {self.truth.case} of seed {self.truth.seed}: the simulation diverged")
-        steps_at = course.start + course.dt * np.arange(len(course.q))
+        steps_at: Array = course.start + course.dt * np.arange(len(course.q), dtype=np.float64)
         motion = along(trial.sample_times, steps_at, np.concatenate([course.q, course.v], axis=1))
         return Done(measured_of(own, course, trial.sample_times)[0], command, motion)
 

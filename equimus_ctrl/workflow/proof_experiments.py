@@ -167,8 +167,10 @@ class Further:
                     continue
                 if digest(recorded(made, self.request.model)) != own.data["recording_sha256"]:
                     raise ConfigError(f"{made}: the recording was changed after it was made")
-            parts = ([own.data for own in several] for several in (chain.reports, chain.designs, chain.driven))
-            found.append(followed(truth, *parts, chain.end, self.request.model.robot))
+            reports, designs, driven = (
+                [own.data for own in several] for several in (chain.reports, chain.designs, chain.driven)
+            )
+            found.append(followed(truth, reports, designs, driven, chain.end, self.request.model.robot))
         margin = 1.0 / (self.designing.draws + 1)
         return Resolved(most, tuple(found), margin, answers)
 
