@@ -120,6 +120,7 @@ def experiments_figure(found: Resolved) -> Figure:
     lines = {
         "right or not distinguishable": found.shares(),
         "exactly right": found.shares(("exact",)),
+        "nothing found": found.shares(("silent",)),
         "wrong": found.shares(("wrong", "failed")),
     }
     shares_over_trials(left, lines)
@@ -150,7 +151,7 @@ def shares_over_trials(axes: Axes, lines: Mapping[str, Sequence[Share]], x: str 
     axes.set_ylim(-3, 103)
     axes.xaxis.set_major_locator(MaxNLocator(integer=True))
     style.dress(axes, title="goal: 95 %, dashed", x=x, y="share of the cases [%]")
-    axes.legend(frameon=False, fontsize=style.SMALL_SIZE)
+    _legend(axes)
 
 
 def gaps_scatter(axes: Axes, gaps: Sequence[Gap]) -> None:
@@ -179,4 +180,9 @@ def gaps_scatter(axes: Axes, gaps: Sequence[Gap]) -> None:
     axes.set_ylim(min([GAPS[0], *(2 * g.realised.gap for g in gaps if math.isfinite(g.realised.gap))]), top)
     style.dress(axes, title="shaded: within a factor of 2", x="predicted gap, −2Δln L", y="realised gap")
     if gaps:
-        axes.legend(frameon=False, fontsize=style.SMALL_SIZE)
+        _legend(axes)
+
+
+def _legend(axes: Axes) -> None:
+    """Under an axis, off the curves."""
+    axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.13), ncols=2, frameon=False, fontsize=style.SMALL_SIZE)
