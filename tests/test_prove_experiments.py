@@ -111,7 +111,7 @@ def case_of(number: int, *said: Any, ended: str | None = None, excess: float = -
         {**truth(kind, *missing), "case": number},
         said,
         [design() for _ in said[1:]] + more,
-        [{"failed": "", "excess": excess, "nearest": "knee above its range"} for _ in said[1:]],
+        [{"failed": "", "kept": excess <= 0, "excess": excess, "nearest": "knee above its range"} for _ in said[1:]],
         ended,  # type: ignore[arg-type]
         nominal_leg(),
     )
@@ -329,7 +329,7 @@ class World:
             if self.failed:
                 yield k, (None, {"failed": self.failed})
             else:
-                said = {"failed": "", "excess": -0.1, "nearest": "knee", "recording_sha256": "as it was"}
+                said = {"failed": "", "kept": True, "excess": -0.1, "nearest": "knee", "recording_sha256": "as it was"}
                 yield k, ("designed_01.csv", said)
 
     def prove(self, folder: Path, **options: Any) -> Any:
@@ -463,10 +463,11 @@ def test_a_case_is_followed_from_poor_chirps_through_a_designed_trial(tmp_path: 
     own = found.experiments
     assert own is not None
     (case,) = own.followed
+    assert len(case.trials) == 1 and len(case.cases) == 2
     texts = [path.read_text() for path in sorted(tmp_path.rglob("*/case_0000.json")) if path.parent.name != "truth"]
     assert len(texts) == 1 + 3 * len(case.trials) + (case.end is not None and case.end != "failed")
     for trial in case.trials:
-        assert trial.seconds > 0 and np.isfinite(trial.excess)
+        assert trial.seconds > 0 and trial.kept and trial.excess is None  # its joint has no range
     hidden = json.loads((tmp_path / "truth" / "case_0000.json").read_text())["salt"]
     assert not any(hidden in text for text in texts)
     again = prove(tmp_path, **given)

@@ -142,5 +142,5 @@ def make_trial(
         return None, {"failed": str(error)}
     found = made.excess(limits)
     return made.recording, {
-        "failed": "", "excess": found.worst, "nearest": str(found), "recording_sha256": digest([made.recording]),
+        "failed": "", "kept": not found.left, "excess": found.worst, "nearest": str(found), "recording_sha256": digest([made.recording]),
     }  # fmt: skip

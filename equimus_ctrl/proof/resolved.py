@@ -89,7 +89,9 @@ class Trial:
 
     Attributes:
         family: of its commands.
-        excess: how far the true robot left the limits in it, in units of their ranges; at most 0 where it kept them.
+        kept: whether the true robot kept the limits in it.
+        excess: how far it left them, in units of their ranges, at most 0 where it kept them; None where that has no
+            end: a robot without limits, or one that was lost.
         nearest: the limit that it came nearest to, as a sentence.
         seconds: that its design took.
         promised: whether what is there was among the explanations that it was designed for: of others nothing is
@@ -97,15 +99,11 @@ class Trial:
     """
 
     family: str
-    excess: float
+    kept: bool
+    excess: float | None
     nearest: str
     seconds: float
     promised: bool
-
-    @property
-    def kept(self) -> bool:
-        """Whether it kept the limits."""
-        return self.excess <= 0
 
 
 @dataclass(frozen=True, eq=False)
@@ -154,10 +152,7 @@ class Followed:
             "left": [len(case.report.get("rivals", {}).get("explanations", ())) for case in self.cases],
             "end": self.end,
             **({"said": self.said} if self.said else {}),
-            "trials": [
-                {**vars(t), "excess": t.excess if math.isfinite(t.excess) else None, "kept": t.kept}
-                for t in self.trials
-            ],
+            "trials": [dict(vars(trial)) for trial in self.trials],
             "diagnosis_seconds": [case.report["proof"]["seconds"] for case in self.cases],
         }
 
@@ -305,8 +300,8 @@ def followed(
     made = [(design, own) for design, own in zip(designs, driven, strict=False) if not own["failed"]]
     trials = [
         Trial(
-            design["design"]["family"], math.inf if own["excess"] is None else own["excess"], own["nearest"],
-            design["proof"]["seconds"], outcome(case) in RIGHT,
+            design["design"]["family"], own["kept"], own["excess"], own["nearest"], design["proof"]["seconds"],
+            outcome(case) in RIGHT,
         )
         for (design, own), case in zip(made, cases, strict=False)
     ]  # fmt: skip
