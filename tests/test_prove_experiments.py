@@ -457,7 +457,7 @@ def test_what_is_wrong_is_a_sentence(
 @pytest.mark.slow
 def test_a_case_is_followed_from_poor_chirps_through_a_designed_trial(tmp_path: Path) -> None:
     limit = {"motor.low": "-2", "motor.high": "2"}
-    given = {"cases": 1, "seed": 21, "kind": "single", "experiments": 1, "evaluations": 24, "workers": 1,
+    given = {"cases": 1, "seed": 21, "kind": "none", "experiments": 1, "evaluations": 24, "workers": 1,
              "limit": limit, "model": load_model(PENDULUM)}  # fmt: skip
     found = prove(tmp_path, **given)
     own = found.experiments

@@ -142,5 +142,9 @@ def make_trial(
         return None, {"failed": str(error)}
     found = made.excess(limits)
     return made.recording, {
-        "failed": "", "kept": not found.left, "excess": found.worst, "nearest": str(found), "recording_sha256": digest([made.recording]),
-    }  # fmt: skip
+        "failed": "",
+        "kept": not found.left,
+        "excess": found.worst,
+        "nearest": str(found),
+        "recording_sha256": digest([made.recording]),
+    }
