@@ -30,6 +30,7 @@ ORDER: tuple[tuple[str, ...], ...] = (
     ("experiments",),
     ("preflight",),
     ("report",),
+    ("learning",),
     ("options",),
     ("workflow",),
     ("cli",),

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Hashable, Sequence
+from dataclasses import dataclass
 from typing import Any
 
+import mujoco
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -16,13 +18,28 @@ from equimus_ctrl.effects.valves import shaped_commands
 from equimus_ctrl.errors import ConfigError
 from equimus_ctrl.models.mjcf import Scene
 from equimus_ctrl.models.model import Model
-from equimus_ctrl.plants.batch_group import Group, Unit
+from equimus_ctrl.plants.batch_group import Group, Moved, Unit
 from equimus_ctrl.plants.batch_kernel import arrive, sense, shape_commands
 from equimus_ctrl.plants.mujoco_plant import PlantRates, check_nominal, make_spec, rates_of, whole_ratio
 from equimus_ctrl.types import Array, PlantSpec, Start
 
 Finish = Callable[[Any, Any], None]
 """Puts what stands around a robot into its place: (MuJoCo's model, its data), the robot being where it begins."""
+
+
+@dataclass(frozen=True, eq=False)
+class Step:
+    """What the robots of one batch did in a control period.
+
+    Attributes:
+        group: the batch.
+        rows: (r,) of which robots.
+        moved: one row each.
+    """
+
+    group: Group
+    rows: NDArray[np.int64]
+    moved: Moved
 
 
 class BatchPlant:
@@ -74,8 +91,11 @@ class BatchPlant:
         self._cursor = np.full((n, na), -1, dtype=np.int64)
         self._valve, self._sensor = np.zeros((n, na, 6)), np.zeros((n, nj, 4))
         self._shaping, self._shapers = np.zeros((n, 0, 3)), np.zeros(n, dtype=np.int64)
+        self._by_python = np.zeros(n, dtype=bool)
         self._past = np.zeros((n, nj, math.ceil(_most_delay() / self._dt) + 3, 2))
         self._held = np.zeros((n, nj))
+        self._rests: dict[tuple[Unit, bytes | None], Array] = {}
+        self._shown: dict[int, tuple[Unit, Any]] = {}
         self.position, self.velocity, self.measured = np.zeros((3, n, nj))
 
     def prepare(self, model: Model) -> Unit:
@@ -99,6 +119,16 @@ class BatchPlant:
         assert found is not None
         return found
 
+    def seen(self, row: int) -> tuple[Any, Any]:
+        """MuJoCo's model and data of a row's robot as it is, for pictures; the model stays while the robot does."""
+        unit, runs = self.unit(row), self.group(row).runs
+        if self._shown.get(row, (None,))[0] is not unit:
+            self._shown[row] = unit, runs.get_model(row)
+        model = self._shown[row][1]
+        data = runs.get_data(row)
+        mujoco.mj_forward(model, data)
+        return model, data
+
     def begin(self, row: int, unit: Unit, start: Start, finish: Finish | None = None) -> Array:
         """Put a robot into a row, at rest or as ``start`` says, at time 0.
 
@@ -116,7 +146,7 @@ class BatchPlant:
         """
         body = unit.body
         command = np.asarray(body.command_before(start.position) if start.command is None else start.command)
-        position = np.asarray(body.rest(start.command) if start.position is None else start.position)
+        position = np.asarray(self._rest(unit, start.command) if start.position is None else start.position)
         reaches = self._shaped_alone(unit, command)
         body.place(position, start.velocity, reaches)
         velocity = np.array(body.data.qvel[body.dof])
@@ -133,6 +163,7 @@ class BatchPlant:
         if len(shaping) > self._shaping.shape[1]:
             self._shaping = np.pad(self._shaping, ((0, 0), (0, len(shaping) - self._shaping.shape[1]), (0, 0)))
         self._shaping[row, : len(shaping)], self._shapers[row] = shaping, len(shaping)
+        self._by_python[row] = unit.shaping is None
         self._valve[row], self._sensor[row] = body.valve, body.sensor
         self._counts[row] = self._steps[row] = 0
         self._before[row] = self.pressure[row] = reaches
@@ -143,12 +174,19 @@ class BatchPlant:
         self.measured[row] = seen_by(body.sensor, position)
         return command
 
+    def _rest(self, unit: Unit, command: Array | None) -> Array:
+        """Where a unit rests; it is looked for once."""
+        key = unit, None if command is None else command.tobytes()
+        if key not in self._rests:
+            self._rests[key] = unit.body.rest(command)
+        return self._rests[key]
+
     def _shaped_alone(self, unit: Unit, command: Array) -> Array:
         robot = unit.model.robot
         ranges = robot.command_ranges
         return np.array(shaped_commands(unit.model.effects, robot.actuator_names, command[None], ranges)[0])
 
-    def step(self, rows: NDArray[np.int64], command: ArrayLike) -> list[tuple[Group, NDArray[np.int64], Any]]:
+    def step(self, rows: NDArray[np.int64], command: ArrayLike) -> list[Step]:
         """Hold commands for one control period; ``position``, ``velocity`` and ``measured`` are then those at its end.
 
         Args:
@@ -156,7 +194,7 @@ class BatchPlant:
             command: (r, na); clipped to the range.
 
         Returns:
-            For each batch the places in ``rows`` of its robots, and what they did in it (``batch_group.Moved``).
+            What they did, batch by batch.
 
         Raises:
             ConfigError: where a robot was to begin anew before.
@@ -166,10 +204,8 @@ class BatchPlant:
         applied = np.clip(np.asarray(command, dtype=np.float64), self.spec.command_low, self.spec.command_high)
         reaches = np.empty_like(applied)
         shape_commands(rows, self._shaping, self._shapers, applied, reaches)
-        for r, row in enumerate(rows):
-            unit = self._units[row]
-            if unit is not None and unit.shaping is None:
-                reaches[r] = self._shaped_alone(unit, applied[r])
+        for r in np.flatnonzero(self._by_python[rows]):
+            reaches[r] = self._shaped_alone(self.unit(rows[r]), applied[r])
         self._commands[rows, :, self._counts[rows]] = reaches
         self._counts[rows] += 1
         ctrl = np.empty((len(rows), self.substeps, applied.shape[1]))
@@ -189,7 +225,7 @@ class BatchPlant:
             good = own[moved.sound]
             self.position[good], self.velocity[good] = q[moved.sound, -1], v[moved.sound, -1]
             self.measured[good] = shown[moved.sound]
-            done.append((group, places, moved))
+            done.append(Step(group, own, moved))
         return done
 
     def _by_group(self, rows: NDArray[np.int64]) -> Sequence[tuple[Group, NDArray[np.int64]]]:

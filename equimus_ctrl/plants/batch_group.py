@@ -134,9 +134,7 @@ class Group:
         k, whole = ctrl.shape[1], len(rows) == self.runs.nsim
         ids = None if whole else rows
         bound = [*(self._state[name] for name in RECORDED[:2]), self._sensors]
-        found = {
-            name: np.empty((len(rows), k, values.shape[1])) for name, values in zip(RECORDED, bound, strict=True)
-        }
+        found = {name: np.empty((len(rows), k, values.shape[1])) for name, values in zip(RECORDED, bound, strict=True)}
         failed: list[int] = []
         with quietly():
             if self.laws is None:

@@ -74,7 +74,8 @@ class Body(Protocol):
         ...
 
 
-BODIES_OF: dict[Robots, Callable[[Model, float, Scene | None, str | None], Body]] = {"elastic": ElasticBody, "mjcf": MjcfBody}
+Make = Callable[[Model, float, Scene | None, str | None], Body]
+BODIES_OF: dict[Robots, Make] = {"elastic": ElasticBody, "mjcf": MjcfBody}
 """Kind of robots (``RobotTraits.catalogue``) → its body, see ``body_of``."""
 
 

@@ -37,8 +37,8 @@ class ElasticBody:
     """
 
     def __init__(self, model: Model, dt: float, scene: Scene | None = None, integrator: str | None = None) -> None:
-        settings = replace(FAST_SETTINGS, timestep=dt)
-        self._model, self._settings = model, settings if integrator is None else replace(settings, integrator=integrator)
+        self._settings = replace(FAST_SETTINGS, timestep=dt, integrator=integrator or FAST_SETTINGS.integrator)
+        self._model = model
         self._robot = changed_bodies(model.effects, model.morphology)
         self._kinematics = Kinematics(self._robot, model.phase)
         self.mujoco_model = compile_model(self._robot, model.phase, self._settings, scene)
