@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 from equimus_ctrl.effects.base import parse
 from equimus_ctrl.models.model import Model, nominal_model
 from equimus_ctrl.robots.mjcf.robot import MjcfRobot
@@ -38,6 +36,3 @@ def leg(*effects: str) -> Model:
 
 def arm(*effects: str, xml: str = ARM) -> Model:
     return Model(MjcfRobot("arm", xml), tuple(map(parse, effects)))
-
-
-FAST: dict[str, Any] = {"control": 60.0}

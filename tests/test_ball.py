@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 import mujoco
 import numpy as np
 import pytest
@@ -15,6 +17,8 @@ from equimus_ctrl.robots.elastic.leg import nominal_leg
 WALL = """<mujoco><option timestep="0.0005" gravity="0 0 -9.8"/><worldbody><body name="wall" pos="0 0 0.3">
   <joint name="held" type="slide" axis="1 0 0"/><geom name="wall" type="box" size="0.1 0.3 0.3" mass="1e6"/>
   </body></worldbody></mujoco>"""
+
+WITHOUT_GEOMS = re.sub(r"<geom type[^>]*/>", '<inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/>', ARM)
 
 
 def test_it_lies_where_it_is_put_and_nothing_else_touches() -> None:
@@ -53,13 +57,19 @@ def test_it_comes_back_from_a_wall_as_it_says(restitution: float) -> None:
 
 
 def test_what_cannot_be_is_a_sentence() -> None:
-    for key, value in (("radius", 0.0), ("mass", -1.0), ("contact_time", np.inf), ("restitution", 1.0)):
+    for key, value in (
+        ("radius", 0.0),
+        ("mass", -1.0),
+        ("contact_time", np.inf),
+        ("restitution", 1.0),
+        ("restitution", 0.1),
+    ):
         with pytest.raises(ModelError, match=key):
             Ball(**{key: value})
     with pytest.raises(ModelError, match="no site or body 'fot'; did you mean 'foot'"):
         compile_model(nominal_leg(), scene=lambda spec: add_ball(spec, (0, 0, 0), "fot"))
     with pytest.raises(ModelError, match="has no geom"):
-        add_ball(mujoco.MjSpec.from_string(ARM.replace("<geom type", "<site type")), (0, 0, 0), "hand")
+        add_ball(mujoco.MjSpec.from_string(WITHOUT_GEOMS), (0, 0, 0), "hand")
     spec = mujoco.MjSpec.from_string(ARM)
     add_ball(spec, (0, 0, 0), "hand")
     with pytest.raises(ModelError, match="a robot without one"):

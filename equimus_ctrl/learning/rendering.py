@@ -15,7 +15,7 @@ from equimus_ctrl.report.film_geoms import Camera, camera_around, outlined
 
 SIZE = (480, 360)
 """Width and height of a picture [pixel]."""
-ROOM = 0.6
+ROOM = 1.5
 """Beside the robot as it begins, for where it moves, over its size."""
 
 

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import mujoco
+from scipy.optimize import brentq
 
 from equimus_ctrl.errors import ModelError, unknown_name
 
@@ -18,6 +19,8 @@ IMPEDANCE = (0.95, 0.95, 0.001, 0.5, 2.0)
 THICK = 0.005
 """Of the plate [m]; where it is seen to end is of no consequence."""
 WIDE = 0.06
+LEAST_RESTITUTION = 0.15
+"""A spring and a damper that do not pull give back e⁻² = 0.14 of the speed and more."""
 
 
 @dataclass(frozen=True)
@@ -45,8 +48,8 @@ class Ball:
         for key in ("radius", "mass", "contact_time"):
             if not 0 < getattr(self, key) < math.inf:
                 raise ModelError(f"ball: {key} is {getattr(self, key):g}, expected more than 0")
-        if not 0 < self.restitution < 1:
-            raise ModelError(f"ball: restitution is {self.restitution:g}, expected between 0 and 1")
+        if not LEAST_RESTITUTION <= self.restitution < 1:
+            raise ModelError(f"ball: restitution is {self.restitution:g}, expected {LEAST_RESTITUTION:g} to below 1")
         if not 0 <= self.friction < math.inf:
             raise ModelError(f"ball: friction is {self.friction:g}, expected at least 0")
 
@@ -54,13 +57,13 @@ class Ball:
     def solref(self) -> tuple[float, float]:
         """MuJoCo's time constant [s] and damping ratio of the contact.
 
-        A mass on a spring and a damper of ratio ζ leaves after a half wave of π/(ω√(1 − ζ²)) with e^(−πζ/√(1 − ζ²)) of
-        its speed; MuJoCo's time constant is 1/(ωζ).
+        A mass that meets a spring and a damper of ratio ζ = sin ψ leaves where these would begin to pull: after
+        (π − 2ψ)/(ω cos ψ), with exp(−(π − 2ψ) tan ψ) of its speed. MuJoCo's time constant is 1/(ωζ).
         """
         lost = -math.log(self.restitution)
-        ratio = lost / math.hypot(math.pi, lost)
-        omega = math.pi / (self.contact_time * math.sqrt(1 - ratio**2))
-        return 1 / (omega * ratio), ratio
+        psi = float(brentq(lambda own: (math.pi - 2 * own) * math.tan(own) - lost, 0.0, math.pi / 2 - 1e-6))
+        omega = (math.pi - 2 * psi) / (self.contact_time * math.cos(psi))
+        return 1 / (omega * math.sin(psi)), math.sin(psi)
 
 
 def add_ball(spec: Any, place: Sequence[float], kicker: str, ball: Ball | None = None) -> Any:
@@ -103,12 +106,13 @@ def add_ball(spec: Any, place: Sequence[float], kicker: str, ball: Ball | None =
         rgba=(0.8, 0.8, 0.8, 1.0), **alone,
     )  # fmt: skip
     friction = (ball.friction, ball.friction, 0.005, 1e-4, 1e-4)
-    spec.add_pair(name=PLATE, geomname1=PLATE, geomname2=BALL, friction=friction)
+    condim = 3 if ball.friction > 0 else 1
+    spec.add_pair(name=PLATE, geomname1=PLATE, geomname2=BALL, friction=friction, condim=condim)
     for k, geom in enumerate(geoms):
         geom.name = geom.name or f"{BALL} kicker {k}"
         spec.add_pair(
-            name=geom.name, geomname1=geom.name, geomname2=BALL, friction=friction, solref=ball.solref,
-            solimp=IMPEDANCE,
+            name=geom.name, geomname1=geom.name, geomname2=BALL, friction=friction, condim=condim,
+            solref=ball.solref, solimp=IMPEDANCE,
         )  # fmt: skip
     spec.add_sensor(
         name=TOUCH, type=mujoco.mjtSensor.mjSENS_CONTACT, objtype=mujoco.mjtObj.mjOBJ_GEOM, objname=BALL,
