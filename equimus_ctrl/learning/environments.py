@@ -219,7 +219,8 @@ class RobotVectorEnv(VectorEnv[Observed, Observed, Array]):
 
     def _infos(self, rows: NDArray[np.int64]) -> dict[str, Any]:
         whole: dict[str, Any] = {}
-        among = np.isin(self._rows, rows)
+        among = np.zeros(self.num_envs, dtype=bool)
+        among[rows] = True
         for key, values in self.episodes.info(rows).items():
             whole[key] = np.zeros(self.num_envs, dtype=values.dtype)
             whole[key][rows] = values

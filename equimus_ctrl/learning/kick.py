@@ -17,6 +17,7 @@ from equimus_ctrl.models.ball import BALL, TOUCH, add_ball
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.models.points import points_of
 from equimus_ctrl.plants.batch import BatchPlant, Finish, Step
+from equimus_ctrl.plants.batch_group import Group
 from equimus_ctrl.types import Array, Start
 
 
@@ -101,6 +102,8 @@ class Kick(Task):
         if self.kicker not in points.names:
             raise ConfigError(f"{model.name}: {self.kicker!r} is no site or body, known are {', '.join(points.names)}")
         low, high = model.robot.command_limits
+        if not np.isfinite([low, high]).all():
+            raise ConfigError(f"{model.name}: some commands have no limits and so no middle; expected the ball's place")
         try:
             pose = rest_pose(model, (low + high) / 2)
         except EquimusError as error:
@@ -115,6 +118,7 @@ class Kick(Task):
         self._ball, self._velocity = np.tile(self.place, (plant.n, 1)), np.zeros((plant.n, 3))
         self._lay = self._ball.copy()
         self._periods = plant.longest
+        self._known: dict[Group, tuple[int, int, int]] = {}
 
     @property
     def size(self) -> int:
@@ -148,17 +152,21 @@ class Kick(Task):
         before = self.score.best[rows]
         for step in steps:
             own, moved = step.rows[step.moved.sound], step.moved
-            joint, touch = step.group.base.joint(BALL), step.group.base.sensor(TOUCH)
             q, v, force = (
                 values[moved.sound][:, :, first : first + 3]
-                for values, first in (
-                    (moved.qpos, joint.qposadr[0]), (moved.qvel, joint.dofadr[0]), (moved.sensors, touch.adr[0]),
-                )
-            )  # fmt: skip
+                for values, first in zip((moved.qpos, moved.qvel, moved.sensors), self._places(step.group), strict=True)
+            )
             self._ball[own], self._velocity[own] = q[:, -1], v[:, -1]
             self.score.add(own, v, force)
         away = np.linalg.norm(self._ball[rows] - self._lay[rows], axis=1)
         return self.score.best[rows] - before, away > self._settings.gone
+
+    def _places(self, group: Group) -> tuple[int, int, int]:
+        """Where the ball is in qpos, in qvel, and the force in the sensors' data."""
+        if group not in self._known:
+            joint, touch = group.base.joint(BALL), group.base.sensor(TOUCH)
+            self._known[group] = int(joint.qposadr[0]), int(joint.dofadr[0]), int(touch.adr[0])
+        return self._known[group]
 
     def info(self, rows: Rows) -> dict[str, Array]:
         """``ball_speed`` towards the target [m/s], ``miss_angle`` [°] and ``kick_force`` [N]."""

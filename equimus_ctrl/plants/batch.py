@@ -23,6 +23,8 @@ from equimus_ctrl.plants.batch_kernel import arrive, sense, shape_commands
 from equimus_ctrl.plants.mujoco_plant import PlantRates, check_nominal, make_spec, rates_of, whole_ratio
 from equimus_ctrl.types import Array, PlantSpec, Start
 
+WHOLE = int(mujoco.mjtState.mjSTATE_INTEGRATION)
+"""All that a step depends on."""
 Finish = Callable[[Any, Any], None]
 """Puts what stands around a robot into its place: (MuJoCo's model, its data), the robot being where it begins."""
 
@@ -94,7 +96,7 @@ class BatchPlant:
         self._by_python = np.zeros(n, dtype=bool)
         self._past = np.zeros((n, nj, math.ceil(_most_delay() / self._dt) + 3, 2))
         self._held = np.zeros((n, nj))
-        self._rests: dict[tuple[Unit, bytes | None], Array] = {}
+        self._starts: dict[Hashable, tuple[Array, Array, Array]] = {}
         self._shown: dict[int, tuple[Unit, Any]] = {}
         self.position, self.velocity, self.measured = np.zeros((3, n, nj))
 
@@ -145,11 +147,8 @@ class BatchPlant:
             ModelError: where the first command has no equilibrium.
         """
         body = unit.body
-        command = np.asarray(body.command_before(start.position) if start.command is None else start.command)
-        position = np.asarray(self._rest(unit, start.command) if start.position is None else start.position)
-        reaches = self._shaped_alone(unit, command)
-        body.place(position, start.velocity, reaches)
-        velocity = np.array(body.data.qvel[body.dof])
+        command, reaches = self._placed(unit, start)
+        position, velocity = np.array(body.data.qpos[body.qpos]), np.array(body.data.qvel[body.dof])
         if finish is not None:
             finish(body.mujoco_model, body.data)
         group = self._groups.get(unit.key)
@@ -174,12 +173,26 @@ class BatchPlant:
         self.measured[row] = seen_by(body.sensor, position)
         return command
 
-    def _rest(self, unit: Unit, command: Array | None) -> Array:
-        """Where a unit rests; it is looked for once."""
-        key = unit, None if command is None else command.tobytes()
-        if key not in self._rests:
-            self._rests[key] = unit.body.rest(command)
-        return self._rests[key]
+    def _placed(self, unit: Unit, start: Start) -> tuple[Array, Array]:
+        """The commands (na,) in force before, and what arrives of them, the unit being put where it begins.
+
+        What is known of a start is put back: to find where a robot rests takes as long as a hundred steps.
+        """
+        parts = (start.command, start.position, start.velocity)
+        key = unit, tuple(None if part is None else part.tobytes() for part in parts)
+        body = unit.body
+        if key in self._starts:
+            command, reaches, state = self._starts[key]
+            mujoco.mj_setState(body.mujoco_model, body.data, state, WHOLE)
+            return command, reaches
+        command = np.asarray(body.command_before(start.position) if start.command is None else start.command)
+        position = np.asarray(body.rest(start.command) if start.position is None else start.position)
+        reaches = self._shaped_alone(unit, command)
+        body.place(position, start.velocity, reaches)
+        state = np.empty(mujoco.mj_stateSize(body.mujoco_model, WHOLE))
+        mujoco.mj_getState(body.mujoco_model, body.data, state, WHOLE)
+        self._starts[key] = command, reaches, state
+        return command, reaches
 
     def _shaped_alone(self, unit: Unit, command: Array) -> Array:
         robot = unit.model.robot

@@ -147,7 +147,9 @@ class Group:
         qpos, qvel, sensors = (found[name] for name in RECORDED)
         fast = np.abs(qvel[:, :, self.dof]) < MAX_SPEED
         sound = np.isfinite(qpos).all(axis=(1, 2)) & fast.all(axis=(1, 2))
-        sound &= (self._warnings()[rows] == self._warned[rows]) & ~np.isin(rows, failed)
+        sound &= self._warnings()[rows] == self._warned[rows]
+        if failed:
+            sound &= ~np.isin(rows, failed)
         return Moved(qpos, qvel, sensors, sound)
 
     def _step_by_step(
