@@ -23,7 +23,7 @@ ONE = np.array([0])
 Observed = NDArray[np.float32]
 
 
-def _spaces(episodes: Episodes) -> tuple[gymnasium.spaces.Box, gymnasium.spaces.Box]:
+def _spaces(episodes: Episodes) -> tuple[Any, Any]:
     observed = gymnasium.spaces.Box(-LIMIT, LIMIT, (episodes.size,), np.float32)
     return observed, gymnasium.spaces.Box(-1.0, 1.0, (episodes.action_size,), np.float32)
 
@@ -112,7 +112,7 @@ class RobotEnv(gymnasium.Env[Observed, Observed]):
             self._window = None
 
 
-class RobotVectorEnv(VectorEnv[Observed, Observed, Array]):
+class RobotVectorEnv(VectorEnv[Observed, Observed, Any]):
     """Many robots at one task, in one process; each goes the way that it would go alone.
 
     Seeds and infos are as those of Gymnasium's own vector environments: environment i has seed + i.

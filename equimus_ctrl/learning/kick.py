@@ -94,7 +94,7 @@ class Kick(Task):
         angle = np.radians(settings.direction)
         self.direction = np.array([np.cos(angle), np.sin(angle), 0.0])
         self.place = np.array(self._before(model) if settings.place is None else settings.place)
-        self.scene = partial(add_ball, place=self.place, kicker=self.kicker, ball=settings.ball)
+        self.scene = partial(add_ball, place=self.place.tolist(), kicker=self.kicker, ball=settings.ball)
 
     def _before(self, model: Model) -> Array:
         """(3,) before the kicker while the robot rests under the middle of its commands [m]."""

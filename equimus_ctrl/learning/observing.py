@@ -76,7 +76,7 @@ class Memory:
     @property
     def size(self) -> int:
         """Of what is observed."""
-        return self._positions[0].size + self._actions[0].size
+        return int(self._positions[0].size + self._actions[0].size)
 
     def begin(self, rows: NDArray[np.int64], measured: Array, command: Array) -> None:
         """Robots begin where (r, nj) is measured of them under commands (r, na)."""

@@ -18,13 +18,12 @@ VARYING = ("stiffness", "area", "damping", "mass")
 
 
 class Draws(Protocol):
-    """Some robots, numbered.
+    """Some robots, numbered."""
 
-    Attributes:
-        count: how many.
-    """
-
-    count: int
+    @property
+    def count(self) -> int:
+        """How many."""
+        ...
 
     def model(self, k: int) -> Model:
         """Robot ``k``; the same whichever were asked for before."""

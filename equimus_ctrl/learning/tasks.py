@@ -105,7 +105,7 @@ class Follow(Task):
     @property
     def size(self) -> int:
         """As of any task."""
-        return len(self._ahead) * self._reference.shape[1]
+        return int(len(self._ahead) * self._reference.shape[1])
 
     def begin(self, row: int, rng: np.random.Generator) -> tuple[Start, Finish | None]:
         """As the scenario says."""

@@ -215,7 +215,7 @@ class BatchPlant:
         if np.any(self._counts[rows] >= self.longest):
             raise ConfigError(f"{self.model.name}: a robot is stepped for more than {self.longest} control periods")
         applied = np.clip(np.asarray(command, dtype=np.float64), self.spec.command_low, self.spec.command_high)
-        reaches = np.empty_like(applied)
+        reaches = np.empty(applied.shape)
         shape_commands(rows, self._shaping, self._shapers, applied, reaches)
         for r in np.flatnonzero(self._by_python[rows]):
             reaches[r] = self._shaped_alone(self.unit(rows[r]), applied[r])

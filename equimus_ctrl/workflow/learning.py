@@ -18,7 +18,6 @@ from equimus_ctrl.learning.randomisation import Diagnosed, Draws, Same, Spread
 from equimus_ctrl.learning.settings import DIAGNOSIS, EnvSettings, KickSettings
 from equimus_ctrl.learning.tasks import Follow, Task
 from equimus_ctrl.models.model import Model, nominal_model
-from equimus_ctrl.robots.base import Robot
 from equimus_ctrl.types import Array
 from equimus_ctrl.workflow.experiments import rivals_in
 from equimus_ctrl.workflow.models import load_model
@@ -142,8 +141,6 @@ def make_episodes(
 def _model(given: Model | Path | str | None) -> Model:
     if isinstance(given, Model):
         return given
-    if isinstance(given, Robot):
-        return Model(given)
     return nominal_model() if given is None else load_model(given)
 
 
