@@ -1,6 +1,6 @@
 """Environment steps a second: many robots in one process beside Gymnasium's vector environments over single ones.
 
-    python benchmarks/environments.py [--envs 64] [--repeats 5]
+    python benchmarks/environments.py [--envs 64] [--repeats 5] [--robot valves]
 
 The task is the kick at 60 Hz: on the nominal leg, with valves, and with valves, friction and hysteresis. Every way is
 timed in turn, over and over, so that other work on the computer disturbs all alike; quartiles are of these turns. The
@@ -26,6 +26,8 @@ from equimus_ctrl.effects.base import parse
 VALVES = ("transport_delay:maa:delay=0.03", "transport_delay:baa:delay=0.03")
 LAGS = ("asymmetric_lag:maa:fill=0.05,vent=0.1", "asymmetric_lag:baa:fill=0.05,vent=0.1")
 FORCES = ("coulomb_friction:hip:friction=0.03", "hysteresis:maa:size=0.5,width=0.01")
+
+ROBOTS: dict[str, tuple[str, ...]] = {"nominal": (), "valves": (*VALVES, *LAGS), "forces": (*VALVES, *LAGS, *FORCES)}
 
 
 def model_with(effects: tuple[str, ...]) -> eq.Model:
@@ -79,9 +81,11 @@ def main() -> None:
     parser.add_argument("--envs", type=int, default=64)
     parser.add_argument("--repeats", type=int, default=5)
     parser.add_argument("--seconds", type=float, default=1.0, help="of each turn")
+    parser.add_argument("--robot", action="append", choices=ROBOTS, help="all by default")
     chosen = parser.parse_args()
-    for effects in ((), (*VALVES, *LAGS), (*VALVES, *LAGS, *FORCES)):
-        print(json.dumps(measured(chosen.envs, chosen.repeats, chosen.seconds, effects)), flush=True)
+    for name in chosen.robot or ROBOTS:
+        found = measured(chosen.envs, chosen.repeats, chosen.seconds, ROBOTS[name])
+        print(json.dumps({"robot": name, **found}), flush=True)
 
 
 if __name__ == "__main__":

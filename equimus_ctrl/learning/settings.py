@@ -9,7 +9,7 @@ from typing import Any
 from equimus_ctrl.errors import ConfigError
 from equimus_ctrl.models.ball import Ball
 
-MOST_HISTORY, MOST_ROBOTS = 1000, 100_000
+MOST_HISTORY, MOST_ROBOTS = 1000, 10_000
 
 
 @dataclass(frozen=True)

@@ -86,7 +86,7 @@ class BatchPlant:
         self._groups: dict[Hashable, Group] = {}
         self._units: list[Unit | None] = [None] * n
         self._group_of: list[Group | None] = [None] * n
-        self._times = np.arange(longest) * self.spec.control_dt
+        self._times = np.arange(longest, dtype=np.float64) * self.spec.control_dt
         self._commands = np.zeros((n, na, longest))
         self._counts, self._steps = np.zeros(n, dtype=np.int64), np.zeros(n, dtype=np.int64)
         self._before, self.pressure = np.zeros((n, na)), np.zeros((n, na))
