@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import sys
 import warnings
 from typing import Any
 
@@ -11,7 +12,7 @@ import pytest
 from learning_cases import ARM, FORCES, SENSORS, VALVES, arm, leg
 from rival_legs import delays
 
-from equimus_ctrl.errors import ConfigError, EquimusError, ModelError
+from equimus_ctrl.errors import ConfigError, EquimusError, ModelError, NotAvailable
 from equimus_ctrl.learning.kick import KickScore
 from equimus_ctrl.learning.randomisation import Diagnosed, Spread
 from equimus_ctrl.models.ball import Ball
@@ -224,6 +225,14 @@ def test_pictures_show_robot_and_ball() -> None:
     many = learning.make_vec_env("kick", 2, render_mode="rgb_array")
     many.reset(seed=0)
     assert len(many.render()) == 2
+
+
+def test_without_a_screen_a_window_is_a_sentence(monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in ("DISPLAY", "WAYLAND_DISPLAY"):
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setattr(sys, "platform", "linux")
+    with pytest.raises(NotAvailable, match="no screen for a window; render_mode='rgb_array' gives pictures"):
+        learning.make_env("kick", render_mode="human").reset(seed=0)
 
 
 WRONG: dict[str, tuple[Any, str]] = {

@@ -12,6 +12,7 @@ from equimus_ctrl.errors import NotAvailable, one_line
 from equimus_ctrl.report.film import Frame
 from equimus_ctrl.report.film_frames import OFF
 from equimus_ctrl.report.film_geoms import Camera, camera_around, outlined
+from equimus_ctrl.report.viewing import has_screen
 
 SIZE = (480, 360)
 """Width and height of a picture [pixel]."""
@@ -73,6 +74,8 @@ class Window:
 
     def __init__(self, model: Any) -> None:
         self._model, self._data = model, mujoco.MjData(model)
+        if not has_screen():
+            raise NotAvailable("there is no screen for a window; render_mode='rgb_array' gives pictures")
         try:
             from mujoco import viewer
 
