@@ -50,9 +50,6 @@ MARGIN = 0.02
 GIVE = 2.5e-3
 """Share of its range by which a joint that rests at its limit may go farther than at rest: an end gives way under what
 presses on it while other joints move. The leg's knee, 5 mrad, goes 2.4 mrad farther at most in 300 random designs."""
-ONE_TURN = 2 * math.pi
-"""How far a hinge without a range of its own may go either way from where its model has it at zero [rad]: cables and
-hoses are not in a model."""
 NEAR = 1e-2
 """How exactly an amplitude is found."""
 TIMES = ("duration", "before", "after")
@@ -153,8 +150,8 @@ class Limits:
         command_high: (na,) highest.
         command_rate: (na,) greatest change in a second, +inf where nothing says so.
         command_acceleration: (na,) greatest change of that in a second.
-        joint_low: (nj,) where ranges begin, −inf where they do not [rad or m].
-        joint_high: (nj,) where they end, +inf where they do not.
+        joint_low: (nj,) where ranges begin, ±inf where they do not [rad or m].
+        joint_high: (nj,) where they end.
         joint_margin: (nj,) kept from either end [rad or m].
         joint_rate: (nj,) how fast joints may be, +inf where nothing says so [rad/s or m/s].
         duration: of a trial [s].
@@ -201,12 +198,10 @@ class Limits:
     def of(cls, robot: Robot) -> Limits:
         """A robot's own: its ranges, with margins, and how fast its commands may change.
 
-        A hinge that may turn without end in the model goes one turn either way, unless a user says more.
         Goals without limits of their own may be anywhere in the ranges of the joints that they are for.
         """
         low, high = robot.joint_range
         span = high - low
-        turns = np.array([not robot.slides(joint) for joint in robot.joint_names])
         with np.errstate(invalid="ignore"):
             ends = np.sort([robot.goals_at(low), robot.goals_at(high)], axis=0)
         given = np.array(robot.command_limits)
@@ -218,8 +213,8 @@ class Limits:
             given[1],
             robot.command_rates,
             np.full(len(robot.actuator_names), np.inf),
-            np.where(turns & ~np.isfinite(low), -ONE_TURN, low),
-            np.where(turns & ~np.isfinite(high), ONE_TURN, high),
+            low,
+            high,
             np.where(np.isfinite(span), MARGIN * np.where(np.isfinite(span), span, 0.0), 0.0),
             np.full(len(low), np.inf),
         )

@@ -23,8 +23,6 @@ MOST_DRAWN = 4
 """Explanations that are drawn beside each other; of more the first ones."""
 LONGEST_LABEL = 60
 """Characters of an explanation in a legend."""
-LEAST_SPAN = 6.0
-"""Standard deviations of the noise that an axis shows at least: less than the noise is not seen."""
 LEAST_GAP = 1e-2
 """Gaps are drawn from there on."""
 
@@ -101,8 +99,6 @@ def predictions_figure(found: Designed, own: Forecast) -> Figure:
         style.dress(left, title=f"{name}: prediction, 90 % of parameters", y=f"{name} [{shown.unit}]", x=last)
         style.dress(right, title=f"{name}: left after refitting", y="over the noise", x=last)
         left.set_xlim(0, found.commands.duration)
-        _at_least(left, LEAST_SPAN * own.sigma[j] * shown.factor)
-        _at_least(right, LEAST_SPAN)
     figure.align_ylabels()
     handles: list[Artist] = [
         Line2D([], [], color=style.joint_colour(k), label=_label(named(rivals[k]))) for k in range(drawn)
@@ -148,14 +144,6 @@ def power_figure(found: Designed) -> Figure:
     ]  # fmt: skip
     style.legend_below(figure, handles)
     return figure
-
-
-def _at_least(axes: Axes, span: float) -> None:
-    """Have the vertical axis span so much."""
-    low, high = axes.get_ylim()
-    if high - low < span:
-        middle = (low + high) / 2
-        axes.set_ylim(middle - span / 2, middle + span / 2)
 
 
 def _label(text: str) -> str:
