@@ -304,6 +304,7 @@ def test_a_model_file_for_each_unit() -> None:
     assert [model.parameters()["arm.mass"] for model in files.values()] == [0.6, 0.8]
 
 
+@pytest.mark.long
 @pytest.mark.slow
 def test_two_units_from_folders_to_the_page(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Any) -> None:
     """Friction of 0.31 in one and 0.52 in the other: one law, both sizes; the link's mass of both is another's."""

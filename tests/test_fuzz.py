@@ -45,7 +45,7 @@ def outcomes(log: Path, *arguments: str) -> list[dict[str, Any]]:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("part", range(PARTS))
+@pytest.mark.parametrize("part", [0, *(pytest.param(k, marks=pytest.mark.long) for k in range(1, PARTS))])
 def test_whatever_is_given_is_answered_with_a_sentence(part: int, tmp_path: Path) -> None:
     count = COUNT // PARTS
     found = outcomes(tmp_path / "log", "--seed", str(SEED), "--first", str(part * count), "--count", str(count))

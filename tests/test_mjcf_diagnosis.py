@@ -112,6 +112,7 @@ def test_a_closed_loop_tells_its_friction_too() -> None:
     assert named(found) == [("coulomb_friction", ("hinge",))] and value(found) == pytest.approx(0.15, rel=0.03)
 
 
+@pytest.mark.long
 @pytest.mark.slow
 def test_what_slides_is_told_in_metres_and_newtons() -> None:
     found = diagnosed(CARRIAGE, [ViscousFriction("rail", 6.0)], size=8.0, noise=2e-4)

@@ -227,6 +227,7 @@ def test_guesses_begin_at_the_lowest_place_that_was_seen() -> None:
     assert not [c for c in candidates(Model(adrift), cut(Model(adrift), trials)) if c.effect is PlaneContact]
 
 
+@pytest.mark.long
 @pytest.mark.slow
 def test_a_table_that_the_hand_touches_is_found_with_its_height() -> None:
     height = 0.04

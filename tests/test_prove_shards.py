@@ -210,6 +210,7 @@ def test_a_cluster_that_loses_a_worker_gives_the_same_to_the_byte(
     assert contents(tmp_path / "dask") == contents(whole[0])
 
 
+@pytest.mark.long
 @pytest.mark.slow
 def test_jobs_give_the_same_to_the_byte(
     whole: tuple[Path, dict[str, Any]], tmp_path: Path, capsys: pytest.CaptureFixture[str]

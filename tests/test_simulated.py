@@ -136,6 +136,7 @@ def test_a_finer_step_than_the_xml_s_is_found_where_there_is_no_noise() -> None:
     assert found.corrected.robot.parameters()["arm.mass"] == pytest.approx(0.6 * HEAVIER, rel=1e-4)
 
 
+@pytest.mark.long
 @pytest.mark.slow
 def test_friction_creeps_in_mujoco_however_short_the_step() -> None:
     found = diagnosed(1e-3, 0.05, divided=32)
@@ -155,7 +156,9 @@ def test_friction_that_holds_is_dry_friction_and_its_step_no_physics() -> None:
     assert engine is not None
     rng, runs = np.random.default_rng(5), recorded()
     trials = [Trial(run.name, run.time, run.command, run.command[0], 0.0, run.position[0], run.time) for run in runs]
-    made = replace(engine, hard_friction=True).simulate([real], trials, [np.array([[t.position[0], 0.0]]) for t in trials])
+    made = replace(engine, hard_friction=True).simulate(
+        [real], trials, [np.array([[t.position[0], 0.0]]) for t in trials]
+    )
     runs = [
         replace(run, position=own.position[0] + rng.normal(0, 5e-4, own.position[0].shape))
         for run, own in zip(runs, made, strict=True)

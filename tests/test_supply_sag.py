@@ -112,6 +112,7 @@ def test_its_curve_is_what_is_left_of_forces_over_all_that_is_asked_for() -> Non
     np.testing.assert_allclose(curve.values, 1 - DROP * curve.along / SEEN.command)
 
 
+@pytest.mark.long
 @pytest.mark.slow
 def test_a_diagnosis_names_it_and_no_gain_or_saturation() -> None:
     """Recordings by MuJoCo alone."""

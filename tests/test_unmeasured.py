@@ -209,6 +209,7 @@ def test_what_cannot_be_left_unmeasured_is_told(tmp_path: Path) -> None:
     assert "does not say where string may begin" in told
 
 
+@pytest.mark.long
 @pytest.mark.slow
 def test_what_is_missing_at_a_measured_joint_is_found_beside_one_that_nobody_measures(tmp_path: Path) -> None:
     """Dry friction of a cart whose load swings, from another state in each of four trials."""

@@ -174,7 +174,9 @@ def test_where_nothing_is_late_the_commands_are_those_without_a_bank() -> None:
         assert runs[0].note == ""
 
 
-@pytest.mark.parametrize("sampled", [False, pytest.param(True, marks=pytest.mark.slow)], ids=["lqr", "sampling"])
+@pytest.mark.parametrize(
+    "sampled", [False, pytest.param(True, marks=[pytest.mark.slow, pytest.mark.long])], ids=["lqr", "sampling"]
+)
 def test_a_servos_late_goals_are_found_and_where_they_are_not_late_nothing_is(sampled: bool) -> None:
     drive = '<position name="goal" joint="pivot" kp="300" kv="3"/>'
     servo = MjcfRobot("servo", pendulum('damping="0.6" frictionloss="0.05"', drive=drive))

@@ -20,6 +20,7 @@ def told(*command: Path | str, cwd: Path) -> str:
     return done.stdout
 
 
+@pytest.mark.long
 @pytest.mark.slow
 def test_a_wheel_works_in_a_bare_environment(tmp_path: Path) -> None:
     told(sys.executable, "-m", "pip", "wheel", "-q", "--no-deps", "-w", tmp_path, ROOT, cwd=tmp_path)
