@@ -11,20 +11,21 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 from scipy.special import ndtr, ndtri
 
+from equimus_ctrl import computer
 from equimus_ctrl.diagnosis.policy import SearchPolicy
 from equimus_ctrl.diagnosis.rivals import Rivals
 from equimus_ctrl.diagnosis.scoring import equally_good
 from equimus_ctrl.diagnosis.thresholds import Thresholds
 from equimus_ctrl.errors import SimulationDiverged
 from equimus_ctrl.experiments.predicted import Commands, predicted_trials
-from equimus_ctrl.experiments.refitting import Target, as_estimated, refitted
-from equimus_ctrl.experiments.separation import Separation, separations
+from equimus_ctrl.experiments.refitting import NoiseScale, Refit, Target, Task, refitted_all
+from equimus_ctrl.experiments.separation import Nearby, Separation, separations
 from equimus_ctrl.identification.simulators import Simulator
 from equimus_ctrl.shown import Short
 from equimus_ctrl.types import Array
@@ -53,6 +54,8 @@ class Power(Short):
         needed: δ.
         chance: that one trial settles the pair.
         repeats: of the trial that settle it with ``LIKELY``; inf where more than ``MOST_REPEATS`` would not.
+        costs: (n,) the same as ``gaps`` under the noise that there is.
+        thetas: for each draw (p,) the second's parameters, refitted [unit of each].
     """
 
     first: int
@@ -62,6 +65,8 @@ class Power(Short):
     needed: float
     chance: float
     repeats: float
+    costs: Array = field(default_factory=lambda: np.empty(0))
+    thetas: tuple[Array, ...] = ()
 
     @property
     def gap(self) -> float:
@@ -99,6 +104,7 @@ def powers(
     draws: int = DRAWS,
     pairs: Sequence[tuple[int, int]] | None = None,
     simulator: Simulator | None = None,
+    nearby: Sequence[Nearby] = (),
 ) -> list[Power]:
     """The power of a trial for pairs of rivals, the second refitted to each draw of the first.
 
@@ -109,6 +115,7 @@ def powers(
         draws: how often for each rival that is taken for the truth; 0 for its estimates alone.
         pairs: (true, other); all by default.
         simulator: that of the rivals by default.
+        nearby: other parameters at which refits may begin.
 
     Raises:
         ConfigError: where the robot does not come to rest under the first command.
@@ -116,58 +123,74 @@ def powers(
     """
     simulator = simulator or rivals.simulator()
     wanted = rivals.pairs if pairs is None else list(pairs)
-    found = dict[tuple[int, int], Power]()
+    apart, truths = dict[int, Separation](), dict[int, list[_Truth]]()
     for first in dict.fromkeys(i for i, _ in wanted):
-        (apart,) = separations(rivals, [commands], along=first, simulator=simulator)
-        others = [j for i, j in wanted if i == first]
+        (apart[first],) = separations(rivals, [commands], along=first, simulator=simulator)
         rival = rivals.rivals[first]
         thetas = rival.draws(rng, draws) if draws else rival.theta[None]
-        gaps = _gaps(rivals, commands, apart, others, thetas, simulator)
-        for j in others:
-            found[first, j] = _power(rivals, apart, j, gaps[j])
-    return [found[pair] for pair in wanted]
+        truths[first] = _truths(rivals, commands, apart[first], thetas, simulator)
+    tasks = [(i, j, truth) for i, j in wanted for truth in truths[i]]
+    refits = refitted_all([_task(rivals, apart[i], j, truth, nearby) for i, j, truth in tasks])
+    scale, found = NoiseScale(rivals), dict[tuple[int, int], list[tuple[_Truth, Refit]]]()
+    for (i, j, truth), refit in zip(tasks, refits, strict=True):
+        found.setdefault((i, j), []).append((truth, refit))
+    return [_power(rivals, apart[i], j, found[i, j], scale) for i, j in wanted]
 
 
-def _gaps(
-    rivals: Rivals,
-    commands: Commands,
-    apart: Separation,
-    others: Sequence[int],
-    thetas: Array,
-    simulator: Simulator,
-) -> dict[int, Array]:
-    """For each other rival (n,) G of draws of the true one's parameters; those that diverge are left out.
+@dataclass(frozen=True, eq=False)
+class _Truth:
+    """A draw of the true rival's parameters.
 
-    What the true rival itself loses by refitting from its own estimates to the draw is taken off, to first order.
+    Attributes:
+        number: of the draw.
+        target: what it shows in the trial.
+        lost: what the true rival itself loses by refitting from its own estimates to the draw, to first order.
     """
-    first = apart.along
-    rival = rivals.rivals[first]
-    own = apart.gram[apart.places[first], apart.places[first]]
-    found: dict[int, list[float]] = {j: [] for j in others}
-    for k, theta in enumerate(thetas):
+
+    number: int
+    target: Target
+    lost: float
+
+
+def _truths(rivals: Rivals, commands: Commands, apart: Separation, thetas: Array, simulator: Simulator) -> list[_Truth]:
+    """Draws of the rival along which a trial was simulated; those that diverge are left out."""
+    rival = rivals.rivals[apart.along]
+    own = apart.gram[apart.places[apart.along], apart.places[apart.along]]
+    threads = computer.worker_count(simulator.threads, name="threads")
+
+    def shown(draw: tuple[int, Array]) -> _Truth | None:
+        number, theta = draw
         truth = rival.model_at(theta)
         try:
             ((segments),) = predicted_trials(rivals, truth, [commands], simulator)
         except SimulationDiverged:
-            continue
-        target = Target.of(rivals, truth, segments, simulator)
-        times = [s.trial.sample_times for s in segments]
+            return None
         z = np.linalg.solve(rival.spread, (theta - rival.theta) / rival.parameters.scale)
         lost = float(z @ own @ np.linalg.solve(np.eye(len(z)) + own, z))
-        for j in others:
-            other = rivals.rivals[j]
-            led = other.theta + other.parameters.scale * (other.spread @ apart.undone(first, j))
-            refit = refitted(other, target, [led])
-            seen = as_estimated(rivals, first, j, times, refit.left, np.random.default_rng(k))
-            found[j].append(max(min(seen, refit.cost) - lost, LEAST))
-    if others and not found[others[0]]:
+        return _Truth(number, Target.of(rivals, truth, segments, simulator), lost)
+
+    found = [truth for _, truth in computer.side_by_side(threads, shown, enumerate(thetas)) if truth is not None]
+    if not found:
         raise SimulationDiverged(f"{rival.label}: the simulation diverges with every draw of its parameters")
-    return {j: np.array(own) for j, own in found.items()}
+    return found
 
 
-def _power(rivals: Rivals, apart: Separation, second: int, gaps: Array) -> Power:
+def _task(rivals: Rivals, apart: Separation, second: int, truth: _Truth, nearby: Sequence[Nearby]) -> Task:
+    """A rival, begun where the first order leads as well, and where it has come near."""
+    other = rivals.rivals[second]
+    known = [own.theta for own in nearby if (own.rival, own.towards) == (second, apart.along)]
+    led = other.theta + other.parameters.scale * (other.spread @ apart.undone(apart.along, second))
+    return Task(other, truth.target, [led, *known])
+
+
+def _power(
+    rivals: Rivals, apart: Separation, second: int, refits: Sequence[tuple[_Truth, Refit]], scale: NoiseScale
+) -> Power:
     """Of what one trial says, and several: their gap grows as it does to first order."""
     first = apart.along
+    costs = np.array([refit.cost for _, refit in refits])
+    seen = np.array([scale.seen(first, second, t.number, t.target.times, refit) for t, refit in refits])
+    gaps = np.maximum(seen - [truth.lost for truth, _ in refits], LEAST)
     ahead, needed = rivals.ahead(first, second), margin(rivals, apart.n)
 
     def chance(repeats: int) -> float:
@@ -177,7 +200,8 @@ def _power(rivals: Rivals, apart: Separation, second: int, gaps: Array) -> Power
         return float(ndtr((whole + ahead - need) / (2.0 * np.sqrt(np.maximum(whole, LEAST)))).mean())
 
     enough = next((r for r in range(1, MOST_REPEATS + 1) if chance(r) >= LIKELY), math.inf)
-    return Power(first, second, gaps, ahead, needed, chance(1), float(enough))
+    thetas = tuple(refit.theta for _, refit in refits)
+    return Power(first, second, gaps, ahead, needed, chance(1), float(enough), costs, thetas)
 
 
 def margin(rivals: Rivals, more: int = 0, thresholds: Thresholds | None = None) -> float:

@@ -18,7 +18,7 @@ import numpy as np
 from equimus_ctrl.experiments.families import Family
 from equimus_ctrl.experiments.ground import Crowd, Ground
 from equimus_ctrl.experiments.predicted import Commands
-from equimus_ctrl.experiments.separation import Bases, Separation, divergence, leading, separations
+from equimus_ctrl.experiments.separation import Bases, Nearby, Separation, divergence, leading, separations
 from equimus_ctrl.types import Array
 
 LEAST = 1e-3
@@ -34,7 +34,10 @@ FARTHEST = 1e3
 ALIKE = 0.05
 """Designs whose divergences differ by less are alike."""
 EXAMPLES = 2
-"""Trials by which the directions are found along which free numbers count, where simulations take long."""
+"""Trials by which the directions are found along which free numbers count: of the first that were tried those that go
+farthest."""
+LOOKED_AT_AGAIN = 6
+"""Designs of a family, the best ones, that are compared anew where more is known of rivals, see ``exchange``."""
 
 Over = Callable[[], bool]
 """Whether the time is up."""
@@ -67,6 +70,7 @@ class Arm:
         nearest: pair → the design in which its distance is largest of all that were tried.
         largest: of the first designs the one with the largest amplitude within the limits; None where none is.
         spent: evaluations.
+        nearby: other parameters of rivals that count, see ``exchange``.
     """
 
     def __init__(self, ground: Ground, family: Family, seed: int, crowd: Crowd) -> None:
@@ -77,8 +81,9 @@ class Arm:
         self.largest: Array | None = None
         self.nearest: dict[tuple[int, int], Tried] = {}
         self.spent = 0
-        self._seed, self._bases = seed, list[Separation]() if ground.takes_long else None
-        self._found: Bases | None = None
+        self.nearby: tuple[Nearby, ...] = ()
+        self._seed, self._found = seed, list[Separation]()
+        self._bases: Bases | None = None
         self._cma: cmaes.CMA | None = None
 
     @property
@@ -112,15 +117,29 @@ class Arm:
             middle[:, 0] = np.linspace(0.0, 1.0, AMPLITUDES)
             costs = self._costs(middle)
             self.largest = next((p for p, cost in zip(middle[::-1], costs[::-1], strict=True) if cost <= 0), None)
-            self._cma = cmaes.CMA(
-                mean=middle[int(np.argmin(costs))],
-                sigma=SIGMA,
-                bounds=np.tile([0.0, 1.0], (n, 1)),
-                seed=self._seed,
-            )
+            self._begin(middle[int(np.argmin(costs))])
             return
         points = [np.clip(self._cma.ask(), 0.0, 1.0) for _ in range(self._cma.population_size)]
         self._cma.tell(list(zip(points, self._costs(np.array(points)), strict=True)))
+
+    def reconsider(self, nearby: Sequence[Nearby]) -> None:
+        """Compare the best designs anew, with other parameters of rivals beside those so far; go on from the best."""
+        self.nearby = (*self.nearby, *nearby)
+        if self.best is None:
+            return
+        best = np.argsort(self.values, kind="stable")[::-1][:LOOKED_AT_AGAIN]
+        points = [self.points[k] for k in best] + [own.point for own in self.nearest.values()]
+        several = list({point.tobytes(): point for point in points}.values())
+        self.best, self.points, self.values, self.nearest = None, [], [], {}
+        for point, apart in zip(several, self._apart([self.commands(p) for p in several]), strict=True):
+            self._note(Tried(point, divergence(apart), apart))
+        self.spent += len(several)
+        assert self.best is not None
+        self._begin(self.best.point)
+
+    def _begin(self, mean: Array) -> None:
+        bounds = np.tile([0.0, 1.0], (len(mean), 1))
+        self._cma = cmaes.CMA(mean=mean, sigma=SIGMA, bounds=bounds, seed=self._seed + len(self.nearby))
 
     def _costs(self, points: Array) -> list[float]:
         """Of points (k, 1 + d), which are noted."""
@@ -142,20 +161,25 @@ class Arm:
             self.best = own
         for pair in self.ground.rivals.pairs:
             best = self.nearest.get(pair)
-            if best is None or own.separation.distance(*pair) > best.separation.distance(*pair):
+            if best is None or own.separation.distances[pair] > best.separation.distances[pair]:
                 self.nearest[pair] = own
 
     def _apart(self, designs: Sequence[Commands]) -> list[Separation]:
-        """How far rivals are apart; where simulations take long along the directions that count."""
-        rivals, simulator = self.ground.rivals, self.ground.simulator
-        found = list[Separation]()
-        if self._bases is not None and self._found is None and designs:
-            found = separations(rivals, designs[: EXAMPLES - len(self._bases)], simulator=simulator)
-            self._bases += found
-            if len(self._bases) == EXAMPLES:
-                self._found = leading(rivals, self._bases)
-        rest = designs[len(found) :]
-        return [*found, *(separations(rivals, rest, bases=self._found, simulator=simulator) if rest else ())]
+        """How far rivals are apart, along the directions that count once these are known."""
+        if not designs:
+            return []
+        rivals, simulator, nearby = self.ground.rivals, self.ground.simulator, self.nearby
+        more = EXAMPLES - len(self._found) if self._bases is None else 0
+        count = max(len(designs) - more, 0)
+        whole = separations(rivals, designs[count:], simulator=simulator, nearby=nearby) if more else []
+        self._found += whole
+        if self._bases is None and len(self._found) >= EXAMPLES:
+            self._bases = leading(rivals, self._found)
+        rest = designs[:count]
+        along = self._bases
+        return [
+            *(separations(rivals, rest, bases=along, simulator=simulator, nearby=nearby) if rest else ()), *whole
+        ]  # fmt: skip
 
 
 def search(
