@@ -6,7 +6,7 @@ finds the minimum there. Where it is less than was promised, the refitted parame
 and the search goes on (the exchange for T-optimal designs: Atkinson & Fedorov 1975, Biometrika 62, 57; of saddle points
 by relaxation: Shimizu & Aiyoshi 1980, IEEE Trans. Automatic Control 25). Each addition lowers what is promised, but
 for the linearising never below what a refit comes to, and a refit is what a design does. So they bound the best gap
-from above and from below. Where the best design settles all pairs by its refits, nothing is to be gained by looking on.
+from above and from below. Once the best design settles all pairs by its refits, there is nothing to exchange.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from equimus_ctrl.experiments.power import INTERVAL, LIKELY, Power, powers
 from equimus_ctrl.experiments.search import Arm, Over, search
 from equimus_ctrl.experiments.separation import SETTLED, Nearby
 
-ROUNDS = 4
+ROUNDS = 3
 """Of exchanges, at most."""
 LEADERS = 2
 """Designs, of as many families, in which rivals are refitted in a round."""
@@ -39,7 +39,7 @@ def searched(
     over: Over = lambda: False,
     told: Callable[[float], None] = lambda share: None,
 ) -> bool:
-    """Spend about so many evaluations, less where the best design settles all; whether time ended it before.
+    """Spend about so many evaluations; whether time ended it before.
 
     Args:
         arms: families under conditions.
@@ -51,24 +51,37 @@ def searched(
     first, more = (1 - LEFT) * evaluations, LEFT * evaluations / ROUNDS
     if search(arms, round(first), over, lambda share: told(share * first / evaluations)):
         return True
+    known = list[Nearby]()
     for k in range(ROUNDS):
-        leaders = sorted((arm for arm in arms if arm.best is not None), key=lambda arm: -arm.value)
-        checked = [_checked(arm, pairs) for arm in leaders[:LEADERS]]
-        found = [own for nearby, _ in checked for own in nearby]
-        if over() or any(settled for _, settled in checked):
+        leaders = _leaders(arms, known)
+        checked = [_checked(arm, pairs) for arm in leaders]
+        if over() or not leaders:
             break
-        for arm in leaders if found else ():
-            arm.reconsider(found)
-        leaders.sort(key=lambda arm: -arm.value)
-        begun = first + k * more
+        settled = any(own for _, own in checked)
+        known += [] if settled else [own for nearby, _ in checked for own in nearby]
+        begun, count = first + k * more, more * (ROUNDS - k if settled else 1)
 
-        def part(share: float, begun: float = begun) -> None:
-            told((begun + share * more) / evaluations)
+        def part(share: float, begun: float = begun, count: float = count) -> None:
+            told((begun + share * count) / evaluations)
 
-        if leaders and search(leaders[:LEADERS], round(more), over, part):
+        if search(_leaders(arms, known), round(count), over, part):
             return True
+        if settled:
+            break
+    _leaders(arms, known)
     told(1.0)
     return over()
+
+
+def _leaders(arms: Sequence[Arm], known: Sequence[Nearby]) -> list[Arm]:
+    """The families whose best designs are best, with all that is known of rivals: others promise less anyway."""
+    while True:
+        found = sorted((arm for arm in arms if arm.best is not None), key=lambda arm: -arm.value)[:LEADERS]
+        behind = [arm for arm in found if len(arm.nearby) < len(known)]
+        if not behind:
+            return found
+        for arm in behind:
+            arm.reconsider(known[len(arm.nearby) :])
 
 
 def _checked(arm: Arm, pairs: Sequence[tuple[int, int]]) -> tuple[list[Nearby], bool]:

@@ -131,11 +131,12 @@ class Arm:
         points = [self.points[k] for k in best] + [own.point for own in self.nearest.values()]
         several = list({point.tobytes(): point for point in points}.values())
         self.best, self.points, self.values, self.nearest = None, [], [], {}
-        for point, apart in zip(several, self._apart([self.commands(p) for p in several]), strict=True):
-            self._note(Tried(point, divergence(apart), apart))
+        again = self._apart([self.commands(p) for p in several])
+        tried = [Tried(point, divergence(apart), apart) for point, apart in zip(several, again, strict=True)]
+        for own in tried:
+            self._note(own)
         self.spent += len(several)
-        assert self.best is not None
-        self._begin(self.best.point)
+        self._begin(max(tried, key=lambda own: own.value).point)
 
     def _begin(self, mean: Array) -> None:
         bounds = np.tile([0.0, 1.0], (len(mean), 1))

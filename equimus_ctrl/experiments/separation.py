@@ -48,7 +48,8 @@ SPAN = 3.0**0.5
 """How many standard deviations from the estimates predictions are compared: the fourth moment of a normal
 distribution is 3, so the third-order term of what is expected is right."""
 CLOSE = 1e-9
-"""Directions along which bounds leave less of a span than this have no slope."""
+"""Of the largest: directions along which bounds leave less than this share of a span have no slope, and what adds less
+to one does not count for it."""
 UNSEEN = 0.1
 """What is free counts along directions that change predictions by more than this, in χ² at one standard deviation."""
 SETTLED = 4.0
@@ -316,10 +317,10 @@ class _Neighbours:
             position = np.where(found.sound[:, None, None], found.position, 0.0)
             slopes = []
             for at, turn in zip(first, turns, strict=True):
-                rows = slice(at, at + len(turn))
+                near = slice(at, at + len(turn))
                 # Where a neighbour diverges, there is no slope along any direction for which it counts.
-                lost = np.any(np.abs(turn[~found.sound[rows]]) > CLOSE, axis=0)
-                slopes.append(np.moveaxis(position[rows], 0, -1) @ np.where(lost, 0.0, turn))
+                lost = np.any(np.abs(turn[~found.sound[near]]) > CLOSE, axis=0)
+                slopes.append(np.moveaxis(position[near], 0, -1) @ np.where(lost, 0.0, turn))
             moved = np.where(found.sound[begun:, None, None], position[begun:] - position[along], 0.0) / by
             whole_of.predicted.append(np.moveaxis(position[:shown], 0, -1))
             whole_of.slopes.append(np.concatenate(slopes, axis=2))
