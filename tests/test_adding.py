@@ -140,6 +140,7 @@ def test_the_effect_is_drawn_by_the_proof_on_legs() -> None:
     assert [Legs(1, 1.0).draw(3, case, "single").effects for case in range(5)] == before
 
 
+@pytest.mark.long
 @pytest.mark.slow
 def test_the_effect_is_put_to_the_proof_on_a_pendulum(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     xml, runs = written(folder, 0.15, count=3, seconds=4.0)

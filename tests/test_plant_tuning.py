@@ -283,7 +283,9 @@ SHORT = {
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("controller", "study"), [("lqr", "lqr.toml"), ("nmpc", "leg.toml")])
+@pytest.mark.parametrize(
+    ("controller", "study"), [("lqr", "lqr.toml"), pytest.param("nmpc", "leg.toml", marks=pytest.mark.long)]
+)
 def test_regulators_of_the_leg_are_tuned_from_the_study_to_the_file(
     controller: str, study: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
