@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from pathlib import Path
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -30,11 +29,6 @@ LOOK = {
     "validation": (style.JOINT_COLOURS[3], "D"),
 }
 SIDES = {"command": style.JOINT_COLOURS[0], "force": style.JOINT_COLOURS[1], "measurement": style.JOINT_COLOURS[2]}
-
-
-def save_proof_figures(score: Score, folder: Path) -> list[Path]:
-    """Write confusion, power, false_alarms, parameters, coverage and heldout as PNG."""
-    return style.save_all(proof_drawings(score), folder)
 
 
 def proof_drawings(score: Score) -> style.Drawings:
