@@ -267,7 +267,8 @@ class Diagnosis(Short):
         splits: what other splits of the trials say; None where nobody asked.
         explanations: that these recordings leave beside ``best``, see ``explanations.left_by``.
         nearest: what comes nearest to what has no name, see ``explanations.nearest_to``.
-        below: effects at the size that would just have been seen, see ``explanations.just_below``; where nothing was found.
+        below: effects at the size that would just have been seen, see ``explanations.just_below``; where nothing was
+            found.
     """
 
     verdict: Verdict
