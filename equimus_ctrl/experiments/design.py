@@ -42,7 +42,7 @@ LOOKED_AT = 16
 different one there is one draw, or more."""
 LIMIT_DRAWS = 99
 """Of each rival that the final design is taken through: the true robot leaves the limits with 1 % at most."""
-CANDIDATES = 3
+CANDIDATES = 4
 """Designs that are compared by refitting."""
 DECIDED = 0.01
 """A pair that is settled with all but this chance, or with no more, in all of them does not decide between them."""
@@ -203,7 +203,7 @@ def _few_models(rivals: Rivals, count: int, rng: np.random.Generator) -> list[Mo
 
 
 def _candidates(arms: Sequence[Arm]) -> list[tuple[Arm, Array]]:
-    """Designs that are worth a closer look, the most promising first: of each family the best, then the smallest."""
+    """Designs that are worth a closer look: of each of two families the best, then those that go farthest."""
     ranked = [(arm, arm.candidates) for arm in sorted(arms, key=lambda arm: -arm.value)]
     found = list[tuple[Arm, Array]]()
     for k in range(0, len(ranked), LEADERS):
@@ -275,7 +275,7 @@ def _why_nothing(arms: Sequence[Arm]) -> str:
 
 
 def _best(kept: Sequence[_Kept], draws: int, seed: int, over: Over, progress: Progress) -> _Kept:
-    """The one whose trial settles most, by chance and then by gaps, rivals refitted; with some draws where it counts.
+    """The one whose trial settles most, rivals refitted; with some draws where it counts.
 
     Pairs of which all designs settle as much do not decide, so that these need no draws.
     """
@@ -311,10 +311,19 @@ class _Judged:
     powers: Sequence[Power]
 
     @property
-    def score(self) -> tuple[float, float]:
-        """The mean chance, to 1 %, and the mean of the gaps' logarithms."""
+    def score(self) -> tuple[float, list[float]]:
+        """The mean chance, to 1 %, and then gaps over their uncertainty, the worst pair's first.
+
+        Of designs that settle all pairs, the one that would still do so if a law were a little wrong.
+        """
         chance = float(np.mean([one.chance for one in self.powers])) if self.powers else 0.0
-        return round(chance, 2), float(np.mean([math.log1p(one.gap) for one in self.powers])) if self.powers else 0.0
+        return round(chance, 2), sorted(round(_surety(one), 1) for one in self.powers)
+
+
+def _surety(power: Power) -> float:
+    """A gap over its standard deviation, by noise, 2√G, and by what is not known of the true rival."""
+    mean = float(power.gaps.mean())
+    return mean / math.sqrt(4.0 * mean + float(power.gaps.var()))
 
 
 def _judged(

@@ -93,17 +93,18 @@ class Arm:
 
     @property
     def candidates(self) -> list[Array]:
-        """Points that are worth a closer look: the best, and of all that are as good but for a little the smallest.
+        """Points that are worth a closer look: the best, and of all that are as good but for a little that which goes
+        farthest.
 
-        Where all pairs are settled to first order, that says little of large motions: there refits find what
-        linearising does not, and what they leave is taken for noise.
+        Where all pairs are settled to first order, that says little more. Refits tell these apart, and motions beyond
+        what friction or noise hides hold where a law is a little wrong.
         """
         if self.best is None:
             return []
         alike = [p for p, value in zip(self.points, self.values, strict=True) if value > self.best.value - ALIKE]
         span = [float(np.abs(self.commands(p).course - self.ground.rest).max(axis=0).sum()) for p in alike]
-        smallest = alike[int(np.argmin(span))]
-        return [self.best.point] if smallest is self.best.point else [self.best.point, smallest]
+        farthest = alike[int(np.argmax(span))]
+        return [self.best.point] if farthest is self.best.point else [self.best.point, farthest]
 
     def commands(self, point: Array) -> Commands:
         """Of a point."""
