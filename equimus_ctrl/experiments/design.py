@@ -1,10 +1,9 @@
 """The design of an experiment: commands within limits that tell rivals apart, and what they are expected to show.
 
-First CMA-ES goes over families of commands and known conditions (``search``), by distances to first order, corrected
-where refits of the best designs show that these promise too much (``exchange``). What is best is taken through the
-limits with many draws of all rivals' parameters, and shrunk about rest until none leaves them (``limits``). Of what is
-left, the design is taken whose trial settles most, the rivals refitted without linearising (``power``). Pairs that all
-of these settle, or none, need no draws for that.
+First CMA-ES goes over families of commands and known conditions (``search``), by distances to first order. What is
+best is taken through the limits with many draws of all rivals' parameters, and shrunk about rest until none leaves them
+(``limits``). Of what is left, the design is taken whose trial settles most, the rivals refitted without linearising
+(``power``). Pairs that all of these settle, or none, need no draws for that.
 """
 
 from __future__ import annotations
@@ -20,16 +19,14 @@ from threadpoolctl import threadpool_limits
 from equimus_ctrl.diagnosis.rivals import Rivals
 from equimus_ctrl.errors import ConfigError, NothingFeasible, SimulationDiverged
 from equimus_ctrl.experiments.conditions import KnownCondition
-from equimus_ctrl.experiments.exchange import LEADERS, searched
 from equimus_ctrl.experiments.families import Family, families
 from equimus_ctrl.experiments.ground import Crowd, Ground
 from equimus_ctrl.experiments.limits import Excess, Limits
 from equimus_ctrl.experiments.power import DRAWS, Power, powers
 from equimus_ctrl.experiments.predicted import Commands
 from equimus_ctrl.experiments.results import Designed, Pair, TriedFamily
-from equimus_ctrl.experiments.search import Arm, Over
+from equimus_ctrl.experiments.search import Arm, Over, search
 from equimus_ctrl.experiments.sensors import check_noises, remedies
-from equimus_ctrl.experiments.separation import Nearby
 from equimus_ctrl.identification.simulators import Simulator
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.shown import counted
@@ -43,7 +40,8 @@ different one there is one draw, or more."""
 LIMIT_DRAWS = 99
 """Of each rival that the final design is taken through: the true robot leaves the limits with 1 % at most."""
 CANDIDATES = 4
-"""Designs that are compared by refitting."""
+"""Designs that are compared by refitting, two of each of ``LEADERS`` families."""
+LEADERS = 2
 DECIDED = 0.01
 """A pair that is settled with all but this chance, or with no more, in all of them does not decide between them."""
 FEW_DRAWS = 3
@@ -118,7 +116,7 @@ def designed(
             ]
         asked = evaluations or (COSTLY_EVALUATIONS if costly else EVALUATIONS)
         wanted = told_pairs(rivals)
-        timed_out = searched(arms, asked, wanted, over, lambda share: progress("search", share))
+        timed_out = search(arms, asked, over, lambda share: progress("search", share))
         final = _Final.of(rivals, draws, seed)
         kept = final.kept(_candidates(arms), progress, CANDIDATES)
         if not kept:
@@ -221,14 +219,11 @@ class _Kept:
     commands: Commands
     amplitude: float
     excess: Excess
-    nearby: tuple[Nearby, ...]
 
     def powers(self, rng: np.random.Generator, draws: int, pairs: Sequence[tuple[int, int]]) -> list[Power]:
-        """For pairs of rivals, refitted also from where the search has seen them come near."""
+        """For pairs of rivals, by their places."""
         ground = self.ground
-        return powers(
-            ground.rivals, self.commands, rng, draws=draws, pairs=pairs, simulator=ground.simulator, nearby=self.nearby
-        )
+        return powers(ground.rivals, self.commands, rng, draws=draws, pairs=pairs, simulator=ground.simulator)
 
 
 @dataclass(frozen=True, eq=False)
@@ -260,7 +255,7 @@ class _Final:
                 continue
             commands = ground.trial(ground.rest + share * (course - ground.rest))
             if np.any(commands.course != ground.rest):
-                found.append(_Kept(ground, arm.family.name, commands, share, excess, arm.nearby))
+                found.append(_Kept(ground, arm.family.name, commands, share, excess))
             progress("limits", len(found) / most)
         return found
 
