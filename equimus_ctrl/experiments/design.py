@@ -39,9 +39,10 @@ LOOKED_AT = 16
 different one there is one draw, or more."""
 LIMIT_DRAWS = 99
 """Of each rival that the final design is taken through: the true robot leaves the limits with 1 % at most."""
-CANDIDATES = 4
-"""Designs that are compared by refitting, two of each of ``LEADERS`` families."""
+CANDIDATES, COSTLY_CANDIDATES = 8, 4
+"""Designs that are compared by refitting, also where simulations take long."""
 LEADERS = 2
+"""Families whose designs are compared first."""
 DECIDED = 0.01
 """A pair that is settled with all but this chance, or with no more, in all of them does not decide between them."""
 FEW_DRAWS = 3
@@ -118,7 +119,7 @@ def designed(
         wanted = told_pairs(rivals)
         timed_out = search(arms, asked, over, lambda share: progress("search", share))
         final = _Final.of(rivals, draws, seed)
-        kept = final.kept(_candidates(arms), progress, CANDIDATES)
+        kept = final.kept(_candidates(arms), progress, COSTLY_CANDIDATES if costly else CANDIDATES)
         if not kept:
             raise NothingFeasible(_why_nothing(arms))
         chosen = _best(kept, 0 if simulator.engine.costly else FEW_DRAWS, seed, over, progress)
@@ -201,7 +202,7 @@ def _few_models(rivals: Rivals, count: int, rng: np.random.Generator) -> list[Mo
 
 
 def _candidates(arms: Sequence[Arm]) -> list[tuple[Arm, Array]]:
-    """Designs that are worth a closer look: of each of two families the best, then those that go farthest."""
+    """Designs that are worth a closer look: of two families at a time the best, then those that go farthest."""
     ranked = [(arm, arm.candidates) for arm in sorted(arms, key=lambda arm: -arm.value)]
     found = list[tuple[Arm, Array]]()
     for k in range(0, len(ranked), LEADERS):
