@@ -41,7 +41,7 @@ def quickly(rivals: Rivals, limits: Limits, evaluations: int, draws: int) -> Des
 def design(seed: int = 0) -> Designed:
     return designed(
         frictions(), limits_of_the_pendulum(), over_families=families(["steps", "triangle"]), seed=seed,
-        evaluations=60, draws=19, refits=8, simulator=frictions().simulator(1),
+        evaluations=30, draws=19, refits=8, simulator=frictions().simulator(1),
     )  # fmt: skip
 
 
@@ -51,7 +51,7 @@ def test_a_design_decides_between_two_frictions() -> None:
     assert pair.ending in ("one trial", "repeats") and found.separates == (pair,) and not found.inseparable
     assert pair.harder.gap > 10 and pair.harder.interval[0] < pair.harder.gap < pair.harder.interval[1]
     assert {own.family for own in found.tried} == {"steps", "triangle"}
-    assert found.evaluations == sum(own.evaluations for own in found.tried) >= 60
+    assert found.evaluations == sum(own.evaluations for own in found.tried) >= 30
     assert found.leaves_with == 1 / 20
 
 
@@ -78,10 +78,10 @@ def test_commands_begin_and_end_at_rest_within_their_range() -> None:
     rows = design().commands.commands
     times = design().commands.times
     assert np.all(rows[times <= 0.5] == rows[0]) and np.all(rows[times >= 2.0] == rows[0])
-    assert rows.min() >= -1.2 and rows.max() <= 1.2 and np.ptp(rows) > 0.01
+    assert rows.min() >= -1.2 and rows.max() <= 1.2 and np.ptp(rows) > 0.2
 
 
-def test_no_draw_leaves_the_limits() -> None:
+def test_no_draw_leaves_the_limits_and_tight_ones_shrink_the_design() -> None:
     rivals, tight = frictions(), limits_of_the_pendulum(hinge_high="0.3", hinge_low="-0.3", hinge_margin="0")
     found = quickly(rivals, tight, 15, 19)
     assert not found.excess.left and -0.5 < found.excess.worst <= 0
@@ -89,7 +89,7 @@ def test_no_draw_leaves_the_limits() -> None:
     models = [own.model_at(t) for own in rivals.rivals for t in own.draws(np.random.default_rng([0, 1]), 19)]
     (motions,) = ground.crowd(models).motions([found.commands])
     assert not tight.excess(motions).left
-    assert 1e-4 < np.abs(motions.position).max() <= 0.3
+    assert np.abs(motions.position).max() <= 0.3 < np.abs(design().commands.commands).max()
 
 
 def test_a_course_is_shrunk_until_all_of_many_stay_within() -> None:

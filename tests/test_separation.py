@@ -16,7 +16,7 @@ from equimus_ctrl.diagnosis.rivals import Rivals
 from equimus_ctrl.engines.rest import rest_pose
 from equimus_ctrl.errors import ConfigError
 from equimus_ctrl.experiments.predicted import Commands, predicted_recordings, predicted_trials, resting
-from equimus_ctrl.experiments.separation import Nearby, Other, Separation, divergence, leading, separations
+from equimus_ctrl.experiments.separation import Separation, divergence, leading, separations
 from equimus_ctrl.experiments.starts import Starts
 from equimus_ctrl.identification.information import start_precision
 from equimus_ctrl.identification.noise import whiten
@@ -48,25 +48,6 @@ def test_a_distance_is_over_the_uncertainty_of_both() -> None:
     apart = made_up()
     assert apart.distance(2, 1) == pytest.approx(d @ np.linalg.solve(whole, d)) == apart.distance(1, 2)
     assert np.all(apart.distances <= apart.gaps) and np.all(np.diag(apart.gaps) == 0)
-
-
-def test_the_nearest_of_all_that_is_known_counts() -> None:
-    """Of a rival predicted with its estimates, and with others, towards one rival alone."""
-    shown, z = APART[:, 0] + 0.1 * RNG.standard_normal(40), np.array([0.5, -1.0, 0.3, 0.2])
-    whole = np.column_stack([APART, shown, *SLOPES])
-    places = (slice(4, 6), slice(6, 10), slice(10, 13))
-    other = Other(1, 0, 3, z, 0.7, True)
-    apart = Separation(0, whole.T @ whole, places, np.ones(3, dtype=bool), 40, (other,))
-    system = np.vstack([SLOPES[1], np.eye(4)])
-    (least,) = np.linalg.lstsq(system, np.append(APART[:, 0] - shown, -z), rcond=None)[1]
-    assert apart.gap(0, 1) == pytest.approx(least + 0.7) and apart.gap(0, 1) < made_up().gap(0, 1)
-    both = np.block([[-SLOPES[0], SLOPES[1]], [np.eye(6)]])
-    (nearest,) = np.linalg.lstsq(both, np.concatenate([APART[:, 0] - shown, np.zeros(2), -z]), rcond=None)[1]
-    assert apart.distance(0, 1) == pytest.approx(nearest + 0.7) == apart.distance(1, 0)
-    for i, j in ((1, 0), (2, 1), (0, 2)):
-        assert apart.gap(i, j) == pytest.approx(made_up().gap(i, j))
-    lost = replace(apart, others=(replace(other, sound=False),))
-    assert lost.gap(0, 1) == pytest.approx(made_up().gap(0, 1))
 
 
 def test_repeats_are_as_many_trials_behind_each_other() -> None:
@@ -168,19 +149,6 @@ def test_whole_bases_change_nothing_and_leading_ones_little(diagnosis: Diagnosis
     assert all(0 < basis.shape[1] < len(r.theta) for basis, r in zip(few, rivals.rivals, strict=True))
     (by_few,) = separations(rivals, commands[:1], bases=few)
     assert by_few.distance(0, 1) == pytest.approx(whole[0].distance(0, 1), rel=0.1)
-
-
-def test_other_parameters_count_where_they_bring_a_rival_nearer(diagnosis: Diagnosis) -> None:
-    rivals = rivals_of(diagnosis)
-    other = rivals.rivals[1]
-    (plain,) = separations(rivals, [steps()])
-    same, far = Nearby(1, 0, other.theta), Nearby(1, 0, other.theta + 3 * other.parameters.scale * other.spread[:, 0])
-    for basis in (None, leading(rivals, [plain])):
-        (apart,) = separations(rivals, [steps()], bases=basis)
-        (again,) = separations(rivals, [steps()], bases=basis, nearby=[same])
-        assert again.gap(0, 1) == pytest.approx(apart.gap(0, 1)) and again.gap(1, 0) == pytest.approx(apart.gap(1, 0))
-        (more,) = separations(rivals, [steps()], bases=basis, nearby=[far])
-        assert more.gap(0, 1) <= apart.gap(0, 1) and more.distance(0, 1) <= apart.distance(0, 1)
 
 
 def arm(rivals: Rivals) -> Rivals:

@@ -1,10 +1,9 @@
 """The design of an experiment: commands within limits that tell rivals apart, and what they are expected to show.
 
-First CMA-ES goes over families of commands and known conditions (``search``), by distances to first order, corrected
-where refits of the best designs show that these promise too much (``exchange``). What is best is taken through the
-limits with many draws of all rivals' parameters, and shrunk about rest until none leaves them (``limits``). Of what is
-left, the design is taken whose trial settles most, the rivals refitted without linearising (``power``). Pairs that all
-of these settle, or none, need no draws for that.
+First CMA-ES goes over families of commands and known conditions (``search``), by distances to first order. What is
+best is taken through the limits with many draws of all rivals' parameters, and shrunk about rest until none leaves them
+(``limits``). Of what is left, the design is taken whose trial settles most, the rivals refitted without linearising
+(``power``). Pairs that all of these settle, or none, need no draws for that.
 """
 
 from __future__ import annotations
@@ -20,16 +19,14 @@ from threadpoolctl import threadpool_limits
 from equimus_ctrl.diagnosis.rivals import Rivals
 from equimus_ctrl.errors import ConfigError, NothingFeasible, SimulationDiverged
 from equimus_ctrl.experiments.conditions import KnownCondition
-from equimus_ctrl.experiments.exchange import LEADERS, searched
 from equimus_ctrl.experiments.families import Family, families
 from equimus_ctrl.experiments.ground import Crowd, Ground
 from equimus_ctrl.experiments.limits import Excess, Limits
 from equimus_ctrl.experiments.power import DRAWS, Power, powers
 from equimus_ctrl.experiments.predicted import Commands
 from equimus_ctrl.experiments.results import Designed, Pair, TriedFamily
-from equimus_ctrl.experiments.search import Arm, Over
+from equimus_ctrl.experiments.search import Arm, Over, search
 from equimus_ctrl.experiments.sensors import check_noises, remedies
-from equimus_ctrl.experiments.separation import Nearby
 from equimus_ctrl.identification.simulators import Simulator
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.shown import counted
@@ -42,8 +39,10 @@ LOOKED_AT = 16
 different one there is one draw, or more."""
 LIMIT_DRAWS = 99
 """Of each rival that the final design is taken through: the true robot leaves the limits with 1 % at most."""
-CANDIDATES = 3
-"""Designs that are compared by refitting."""
+CANDIDATES, COSTLY_CANDIDATES = 8, 4
+"""Designs that are compared by refitting, also where simulations take long."""
+LEADERS = 2
+"""Families whose designs are compared first."""
 DECIDED = 0.01
 """A pair that is settled with all but this chance, or with no more, in all of them does not decide between them."""
 FEW_DRAWS = 3
@@ -118,9 +117,9 @@ def designed(
             ]
         asked = evaluations or (COSTLY_EVALUATIONS if costly else EVALUATIONS)
         wanted = told_pairs(rivals)
-        timed_out = searched(arms, asked, wanted, over, lambda share: progress("search", share))
+        timed_out = search(arms, asked, over, lambda share: progress("search", share))
         final = _Final.of(rivals, draws, seed)
-        kept = final.kept(_candidates(arms), progress, CANDIDATES)
+        kept = final.kept(_candidates(arms), progress, COSTLY_CANDIDATES if costly else CANDIDATES)
         if not kept:
             raise NothingFeasible(_why_nothing(arms))
         chosen = _best(kept, 0 if simulator.engine.costly else FEW_DRAWS, seed, over, progress)
@@ -203,7 +202,7 @@ def _few_models(rivals: Rivals, count: int, rng: np.random.Generator) -> list[Mo
 
 
 def _candidates(arms: Sequence[Arm]) -> list[tuple[Arm, Array]]:
-    """Designs that are worth a closer look, the most promising first: of each family the best, then the smallest."""
+    """Designs that are worth a closer look: of two families at a time the best, then those that go farthest."""
     ranked = [(arm, arm.candidates) for arm in sorted(arms, key=lambda arm: -arm.value)]
     found = list[tuple[Arm, Array]]()
     for k in range(0, len(ranked), LEADERS):
@@ -221,14 +220,11 @@ class _Kept:
     commands: Commands
     amplitude: float
     excess: Excess
-    nearby: tuple[Nearby, ...]
 
     def powers(self, rng: np.random.Generator, draws: int, pairs: Sequence[tuple[int, int]]) -> list[Power]:
-        """For pairs of rivals, refitted also from where the search has seen them come near."""
+        """For pairs of rivals, by their places."""
         ground = self.ground
-        return powers(
-            ground.rivals, self.commands, rng, draws=draws, pairs=pairs, simulator=ground.simulator, nearby=self.nearby
-        )
+        return powers(ground.rivals, self.commands, rng, draws=draws, pairs=pairs, simulator=ground.simulator)
 
 
 @dataclass(frozen=True, eq=False)
@@ -260,7 +256,7 @@ class _Final:
                 continue
             commands = ground.trial(ground.rest + share * (course - ground.rest))
             if np.any(commands.course != ground.rest):
-                found.append(_Kept(ground, arm.family.name, commands, share, excess, arm.nearby))
+                found.append(_Kept(ground, arm.family.name, commands, share, excess))
             progress("limits", len(found) / most)
         return found
 
@@ -275,7 +271,7 @@ def _why_nothing(arms: Sequence[Arm]) -> str:
 
 
 def _best(kept: Sequence[_Kept], draws: int, seed: int, over: Over, progress: Progress) -> _Kept:
-    """The one whose trial settles most, by chance and then by gaps, rivals refitted; with some draws where it counts.
+    """The one whose trial settles most, rivals refitted; with some draws where it counts.
 
     Pairs of which all designs settle as much do not decide, so that these need no draws.
     """
@@ -311,10 +307,19 @@ class _Judged:
     powers: Sequence[Power]
 
     @property
-    def score(self) -> tuple[float, float]:
-        """The mean chance, to 1 %, and the mean of the gaps' logarithms."""
+    def score(self) -> tuple[float, list[float]]:
+        """The mean chance, to 1 %, and then gaps over their uncertainty, the worst pair's first.
+
+        Of designs that settle all pairs, the one that would still do so if a law were a little wrong.
+        """
         chance = float(np.mean([one.chance for one in self.powers])) if self.powers else 0.0
-        return round(chance, 2), float(np.mean([math.log1p(one.gap) for one in self.powers])) if self.powers else 0.0
+        return round(chance, 2), sorted(round(_surety(one), 1) for one in self.powers)
+
+
+def _surety(power: Power) -> float:
+    """A gap over its standard deviation, by noise, 2√G, and by what is not known of the true rival."""
+    mean = float(power.gaps.mean())
+    return mean / math.sqrt(4.0 * mean + float(power.gaps.var()))
 
 
 def _judged(

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -25,7 +25,7 @@ from equimus_ctrl.diagnosis.thresholds import Thresholds
 from equimus_ctrl.errors import SimulationDiverged
 from equimus_ctrl.experiments.predicted import Commands, predicted_trials
 from equimus_ctrl.experiments.refitting import NoiseScale, Refit, Target, Task, refitted_all
-from equimus_ctrl.experiments.separation import Nearby, Separation, separations
+from equimus_ctrl.experiments.separation import Separation, separations
 from equimus_ctrl.identification.simulators import Simulator
 from equimus_ctrl.shown import Short
 from equimus_ctrl.types import Array
@@ -54,8 +54,6 @@ class Power(Short):
         needed: δ.
         chance: that one trial settles the pair.
         repeats: of the trial that settle it with ``LIKELY``; inf where more than ``MOST_REPEATS`` would not.
-        costs: (n,) the same as ``gaps`` under the noise that there is.
-        thetas: for each draw (p,) the second's parameters, refitted [unit of each].
     """
 
     first: int
@@ -65,8 +63,6 @@ class Power(Short):
     needed: float
     chance: float
     repeats: float
-    costs: Array = field(default_factory=lambda: np.empty(0))
-    thetas: tuple[Array, ...] = ()
 
     @property
     def gap(self) -> float:
@@ -104,7 +100,6 @@ def powers(
     draws: int = DRAWS,
     pairs: Sequence[tuple[int, int]] | None = None,
     simulator: Simulator | None = None,
-    nearby: Sequence[Nearby] = (),
 ) -> list[Power]:
     """The power of a trial for pairs of rivals, the second refitted to each draw of the first.
 
@@ -115,7 +110,6 @@ def powers(
         draws: how often for each rival that is taken for the truth; 0 for its estimates alone.
         pairs: (true, other); all by default.
         simulator: that of the rivals by default.
-        nearby: other parameters at which refits may begin.
 
     Raises:
         ConfigError: where the robot does not come to rest under the first command.
@@ -130,7 +124,7 @@ def powers(
         thetas = rival.draws(rng, draws) if draws else rival.theta[None]
         truths[first] = _truths(rivals, commands, apart[first], thetas, simulator)
     tasks = [(i, j, truth) for i, j in wanted for truth in truths[i]]
-    refits = refitted_all([_task(rivals, apart[i], j, truth, nearby) for i, j, truth in tasks])
+    refits = refitted_all([_task(rivals, apart[i], j, truth) for i, j, truth in tasks])
     scale, found = NoiseScale(rivals), dict[tuple[int, int], list[tuple[_Truth, Refit]]]()
     for (i, j, truth), refit in zip(tasks, refits, strict=True):
         found.setdefault((i, j), []).append((truth, refit))
@@ -175,12 +169,11 @@ def _truths(rivals: Rivals, commands: Commands, apart: Separation, thetas: Array
     return found
 
 
-def _task(rivals: Rivals, apart: Separation, second: int, truth: _Truth, nearby: Sequence[Nearby]) -> Task:
-    """A rival, begun where the first order leads as well, and where it has come near."""
+def _task(rivals: Rivals, apart: Separation, second: int, truth: _Truth) -> Task:
+    """A rival, begun where the first order leads as well."""
     other = rivals.rivals[second]
-    known = [own.theta for own in nearby if (own.rival, own.towards) == (second, apart.along)]
     led = other.theta + other.parameters.scale * (other.spread @ apart.undone(apart.along, second))
-    return Task(other, truth.target, [led, *known])
+    return Task(other, truth.target, [led])
 
 
 def _power(
@@ -188,7 +181,6 @@ def _power(
 ) -> Power:
     """Of what one trial says, and several: their gap grows as it does to first order."""
     first = apart.along
-    costs = np.array([refit.cost for _, refit in refits])
     seen = np.array([scale.seen(first, second, t.number, t.target.times, refit) for t, refit in refits])
     gaps = np.maximum(seen - [truth.lost for truth, _ in refits], LEAST)
     ahead, needed = rivals.ahead(first, second), margin(rivals, apart.n)
@@ -200,8 +192,7 @@ def _power(
         return float(ndtr((whole + ahead - need) / (2.0 * np.sqrt(np.maximum(whole, LEAST)))).mean())
 
     enough = next((r for r in range(1, MOST_REPEATS + 1) if chance(r) >= LIKELY), math.inf)
-    thetas = tuple(refit.theta for _, refit in refits)
-    return Power(first, second, gaps, ahead, needed, chance(1), float(enough), costs, thetas)
+    return Power(first, second, gaps, ahead, needed, chance(1), float(enough))
 
 
 def margin(rivals: Rivals, more: int = 0, thresholds: Thresholds | None = None) -> float:

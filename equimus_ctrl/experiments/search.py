@@ -18,7 +18,7 @@ import numpy as np
 from equimus_ctrl.experiments.families import Family
 from equimus_ctrl.experiments.ground import Crowd, Ground
 from equimus_ctrl.experiments.predicted import Commands
-from equimus_ctrl.experiments.separation import Bases, Nearby, Separation, divergence, leading, separations
+from equimus_ctrl.experiments.separation import Bases, Separation, divergence, leading, separations
 from equimus_ctrl.types import Array
 
 LEAST = 1e-3
@@ -36,8 +36,6 @@ ALIKE = 0.05
 EXAMPLES = 2
 """Trials by which the directions are found along which free numbers count: of the first that were tried those that go
 farthest."""
-LOOKED_AT_AGAIN = 6
-"""Designs of a family, the best ones, that are compared anew where more is known of rivals, see ``exchange``."""
 
 Over = Callable[[], bool]
 """Whether the time is up."""
@@ -70,7 +68,6 @@ class Arm:
         nearest: pair → the design in which its distance is largest of all that were tried.
         largest: of the first designs the one with the largest amplitude within the limits; None where none is.
         spent: evaluations.
-        nearby: other parameters of rivals that count, see ``exchange``.
     """
 
     def __init__(self, ground: Ground, family: Family, seed: int, crowd: Crowd) -> None:
@@ -81,7 +78,6 @@ class Arm:
         self.largest: Array | None = None
         self.nearest: dict[tuple[int, int], Tried] = {}
         self.spent = 0
-        self.nearby: tuple[Nearby, ...] = ()
         self._seed, self._found = seed, list[Separation]()
         self._bases: Bases | None = None
         self._cma: cmaes.CMA | None = None
@@ -93,17 +89,17 @@ class Arm:
 
     @property
     def candidates(self) -> list[Array]:
-        """Points that are worth a closer look: the best, and of all that are as good but for a little the smallest.
+        """Points that are worth a closer look: the best, and of those about as good the one that goes farthest.
 
-        Where all pairs are settled to first order, that says little of large motions: there refits find what
-        linearising does not, and what they leave is taken for noise.
+        Where all pairs are settled to first order, that says little more. Refits tell these apart, and motions beyond
+        what friction or noise hides hold where a law is a little wrong.
         """
         if self.best is None:
             return []
         alike = [p for p, value in zip(self.points, self.values, strict=True) if value > self.best.value - ALIKE]
         span = [float(np.abs(self.commands(p).course - self.ground.rest).max(axis=0).sum()) for p in alike]
-        smallest = alike[int(np.argmin(span))]
-        return [self.best.point] if smallest is self.best.point else [self.best.point, smallest]
+        farthest = alike[int(np.argmax(span))]
+        return [self.best.point] if farthest is self.best.point else [self.best.point, farthest]
 
     def commands(self, point: Array) -> Commands:
         """Of a point."""
@@ -117,30 +113,11 @@ class Arm:
             middle[:, 0] = np.linspace(0.0, 1.0, AMPLITUDES)
             costs = self._costs(middle)
             self.largest = next((p for p, cost in zip(middle[::-1], costs[::-1], strict=True) if cost <= 0), None)
-            self._begin(middle[int(np.argmin(costs))])
+            mean, bounds = middle[int(np.argmin(costs))], np.tile([0.0, 1.0], (n, 1))
+            self._cma = cmaes.CMA(mean=mean, sigma=SIGMA, bounds=bounds, seed=self._seed)
             return
         points = [np.clip(self._cma.ask(), 0.0, 1.0) for _ in range(self._cma.population_size)]
         self._cma.tell(list(zip(points, self._costs(np.array(points)), strict=True)))
-
-    def reconsider(self, nearby: Sequence[Nearby]) -> None:
-        """Compare the best designs anew, with other parameters of rivals beside those so far; go on from the best."""
-        self.nearby = (*self.nearby, *nearby)
-        if self.best is None:
-            return
-        best = np.argsort(self.values, kind="stable")[::-1][:LOOKED_AT_AGAIN]
-        points = [self.points[k] for k in best] + [own.point for own in self.nearest.values()]
-        several = list({point.tobytes(): point for point in points}.values())
-        self.best, self.points, self.values, self.nearest = None, [], [], {}
-        again = self._apart([self.commands(p) for p in several])
-        tried = [Tried(point, divergence(apart), apart) for point, apart in zip(several, again, strict=True)]
-        for own in tried:
-            self._note(own)
-        self.spent += len(several)
-        self._begin(max(tried, key=lambda own: own.value).point)
-
-    def _begin(self, mean: Array) -> None:
-        bounds = np.tile([0.0, 1.0], (len(mean), 1))
-        self._cma = cmaes.CMA(mean=mean, sigma=SIGMA, bounds=bounds, seed=self._seed + len(self.nearby))
 
     def _costs(self, points: Array) -> list[float]:
         """Of points (k, 1 + d), which are noted."""
@@ -169,17 +146,17 @@ class Arm:
         """How far rivals are apart, along the directions that count once these are known."""
         if not designs:
             return []
-        rivals, simulator, nearby = self.ground.rivals, self.ground.simulator, self.nearby
+        rivals, simulator = self.ground.rivals, self.ground.simulator
         more = EXAMPLES - len(self._found) if self._bases is None else 0
         count = max(len(designs) - more, 0)
-        whole = separations(rivals, designs[count:], simulator=simulator, nearby=nearby) if more else []
+        whole = separations(rivals, designs[count:], simulator=simulator) if more else []
         self._found += whole
         if self._bases is None and len(self._found) >= EXAMPLES:
             self._bases = leading(rivals, self._found)
         rest = designs[:count]
         along = self._bases
         return [
-            *(separations(rivals, rest, bases=along, simulator=simulator, nearby=nearby) if rest else ()), *whole
+            *(separations(rivals, rest, bases=along, simulator=simulator) if rest else ()), *whole
         ]  # fmt: skip
 
 

@@ -20,9 +20,6 @@ Derivatives are secants over what is not known: the slopes of the plane that fit
 z = ±√3 along each direction (statistical linearisation: Lefebvre, Bruyninckx & De Schutter 2002, IEEE Trans. Automatic
 Control 47; the span: Nørgaard, Poulsen & Ravn 2000, Automatica 36). Where a joint sticks or slides a tangent says what
 holds next to the estimates alone.
-
-What no plane says is said by values: a rival may be known to come nearer with other parameters (``Nearby``), to which
-it was refitted in some trial. It is predicted there too, and of all these the least distance counts.
 """
 
 from __future__ import annotations
@@ -59,58 +56,15 @@ BEYOND = 1e-3
 
 
 @dataclass(frozen=True, eq=False)
-class Nearby:
-    """Other parameters of a rival, with which it comes nearer to another one than is seen from its estimates.
-
-    Attributes:
-        rival: whose, by its place.
-        towards: the other.
-        theta: (p,) [unit of each].
-    """
-
-    rival: int
-    towards: int
-    theta: Array
-
-    def z(self, rivals: Rivals) -> Array:
-        """(p,) where that is from the estimates, in units of what is not known."""
-        own = rivals.rivals[self.rival]
-        return np.asarray(np.linalg.solve(own.spread, (self.theta - own.theta) / own.parameters.scale))
-
-
-@dataclass(frozen=True, eq=False)
-class Other:
-    """A prediction of a rival with other parameters.
-
-    Attributes:
-        rival: whose.
-        towards: to which other one it comes near.
-        column: of the Gram matrix.
-        z: (q,) where its parameters are, along the directions of its derivatives.
-        beside: ‖z‖² of what is along none of them.
-        sound: whether its simulation went through.
-    """
-
-    rival: int
-    towards: int
-    column: int
-    z: Array
-    beside: float
-    sound: bool
-
-
-@dataclass(frozen=True, eq=False)
 class Separation:
-    """How far rivals are apart in one trial, to first order from all parameters at which they were predicted.
+    """How far rivals are apart in one trial, to first order.
 
     Attributes:
         along: the rival that is simulated as the truth.
-        gram: (R + E + Σq, …) of [y − y of ``along``, U]: all predictions, those with other parameters, then each
-            rival's derivatives, whitened.
+        gram: (R + Σq, R + Σq) of [y − y of ``along``, U]: all predictions, then each rival's derivatives, whitened.
         places: for each rival those of its derivatives, the same for rivals that are as free as each other.
         sound: (R,) which rivals' simulations went through; what did not is at no distance from anything.
         n: how many numbers the trial measures.
-        others: see ``Nearby``.
     """
 
     along: int
@@ -118,7 +72,6 @@ class Separation:
     places: tuple[slice, ...]
     sound: NDArray[np.bool_]
     n: int
-    others: tuple[Other, ...] = ()
 
     def gap(self, first: int, second: int, repeats: float = 1.0) -> float:
         """Gᵢⱼ, by so many repeats of the trial."""
@@ -144,40 +97,22 @@ class Separation:
         return found
 
     def undone(self, first: int, second: int) -> Array:
-        """(q,) z with which rival j comes nearest to what rival i predicts, seen from its estimates."""
+        """(q,) z with which rival j comes nearest to what rival i predicts."""
         place = self.places[second]
         own = self.gram[place, place]
         towards = self.gram[place, first] - self.gram[place, second]
         return np.asarray(np.linalg.solve(own + np.eye(len(own)), towards))
 
     def _distance(self, first: int, second: int, unsure: Sequence[int], repeats: float) -> float:
-        """The least of dᵀ(I + Σ UUᵀ)⁻¹d over rivals whose predictions are not sure, and all that is known of them."""
+        """dᵀ(I + Σ UUᵀ)⁻¹d over rivals whose predictions are not sure, r times the Gram matrix of one trial."""
         if not (self.sound[first] and self.sound[second] and self.sound[self.along]):
             return 0.0
-        return min(
-            self._from(a, b, unsure, repeats)
-            for a in self._known(first, second if first in unsure else None)
-            for b in self._known(second, first)
-        )
-
-    def _known(self, rival: int, towards: int | None) -> list[Other]:
-        """A rival with its estimates, and with other parameters towards another one."""
-        nothing = np.zeros(self.places[rival].stop - self.places[rival].start)
-        found = [Other(rival, rival, rival, nothing, 0.0, True)]
-        return [*found, *(o for o in self.others if o.sound and (o.rival, o.towards) == (rival, towards))]
-
-    def _from(self, first: Other, second: Other, unsure: Sequence[int], repeats: float) -> float:
-        """Min of r‖d + Σ ±Uz‖² + Σ‖z + z₀‖² over the z of unsure rivals, z₀ where they were predicted."""
-        gram, a, b = self.gram, first.column, second.column
-        free = [(o, sign) for o, sign in ((first, 1.0), (second, -1.0)) if o.rival in unsure]
-        rows = np.concatenate([np.arange(len(gram))[self.places[o.rival]] for o, _ in free])
-        signs = np.concatenate([np.full(len(o.z), sign) for o, sign in free])
-        at = np.concatenate([o.z for o, _ in free])
-        square = gram[a, a] - 2 * gram[a, b] + gram[b, b]
-        towards = repeats * signs * (gram[rows, a] - gram[rows, b]) + at
-        held = np.eye(len(rows)) + repeats * np.outer(signs, signs) * gram[np.ix_(rows, rows)]
-        whole = repeats * square + at @ at + sum(o.beside for o, _ in free) - towards @ np.linalg.solve(held, towards)
-        return float(max(whole, 0.0))
+        gram, ends = self.gram, (first, second)
+        rows = np.concatenate([np.arange(len(gram))[self.places[k]] for k in dict.fromkeys(unsure)])
+        square = gram[first, first] - 2 * gram[first, second] + gram[second, second]
+        towards = gram[rows, ends[0]] - gram[rows, ends[1]]
+        held = np.linalg.solve(np.eye(len(rows)) / repeats + gram[np.ix_(rows, rows)], towards)
+        return float(max(repeats * (square - towards @ held), 0.0))
 
 
 Bases = Sequence[Array]
@@ -191,7 +126,6 @@ def separations(
     along: int = 0,
     bases: Bases | None = None,
     simulator: Simulator | None = None,
-    nearby: Sequence[Nearby] = (),
 ) -> list[Separation]:
     """How far rivals are apart in each of some trials; all trials, rivals and derivatives are one batch of simulations.
 
@@ -201,7 +135,6 @@ def separations(
         along: the rival that is taken for the truth.
         bases: directions along which rivals' free numbers count; all of them by default, see ``leading``.
         simulator: that of the rivals by default.
-        nearby: other parameters with which rivals are predicted too.
 
     Raises:
         ConfigError: where the robot does not come to rest under the first command.
@@ -209,7 +142,7 @@ def separations(
     """
     simulator = simulator or rivals.simulator()
     trials = predicted_trials(rivals, rivals.rivals[along].model, commands, simulator)
-    return apart_in(rivals, trials, along, bases, simulator, nearby)
+    return apart_in(rivals, trials, along, bases, simulator)
 
 
 def apart_in(
@@ -218,11 +151,10 @@ def apart_in(
     along: int,
     bases: Bases | None,
     simulator: Simulator,
-    nearby: Sequence[Nearby] = (),
 ) -> list[Separation]:
     """The same of trials that are predicted and cut, see ``predicted.predicted_trials``."""
     segments = [segment for trial in trials for segment in trial]
-    own = _Neighbours.of(rivals, along, segments, bases, simulator, nearby)
+    own = _Neighbours.of(rivals, along, segments, bases, simulator)
     starts = Starts.of(rivals.noise, segments, own.by_start)
     found, first = [], 0
     for trial in trials:
@@ -259,15 +191,13 @@ class _Neighbours:
 
     Attributes:
         places: for each rival those of its derivatives.
-        others: of ``Nearby``, sound or not.
-        predicted: for each segment (m, nc, R + E) of the rivals.
+        predicted: for each segment (m, nc, R) of the rivals.
         slopes: for each segment (m, nc, Σq) derivatives by z.
         by_start: for each segment (m, nc, s) of the one along which it is.
-        sound: for each segment (R + E,).
+        sound: for each segment (R,).
     """
 
     places: tuple[slice, ...]
-    others: tuple[Other, ...]
     predicted: list[Array] = field(default_factory=list)
     slopes: list[Array] = field(default_factory=list)
     by_start: list[Array] = field(default_factory=list)
@@ -281,11 +211,10 @@ class _Neighbours:
         segments: Sequence[Segment],
         bases: Bases | None,
         simulator: Simulator,
-        nearby: Sequence[Nearby],
     ) -> _Neighbours:
         """Simulate them, one batch."""
         by, several = difference(rivals.model, simulator), rivals.rivals
-        models = [rival.model for rival in several] + [several[n.rival].model_at(n.theta) for n in nearby]
+        models = [rival.model for rival in several]
         shown, turns, first = len(models), list[Array](), list[int]()
         known, places = dict[int, slice](), list[slice]()
         for k, rival in enumerate(several):
@@ -299,11 +228,6 @@ class _Neighbours:
                 begin = shown + sum(own.shape[1] for own in turns[:-1])
                 known[k] = slice(begin, begin + turn.shape[1])
             places.append(known[twin])
-        others = list[Other]()
-        for k, own in enumerate(nearby):
-            whole = own.z(rivals)
-            z = whole if bases is None else bases[own.rival].T @ whole
-            others.append(Other(own.rival, own.towards, len(several) + k, z, float(whole @ whole - z @ z), True))
         most = max(len(segment.free_at) for segment in segments)
         begun = len(models)
         models += [several[along].model] * most
@@ -312,7 +236,7 @@ class _Neighbours:
             rows, free = np.tile(segment.start, (len(models), 1)), segment.free_at
             rows[begun + np.arange(len(free)), free] += by
             starts.append(rows)
-        whole_of = cls(tuple(places), tuple(others))
+        whole_of = cls(tuple(places))
         for segment, found in zip(segments, simulator(models, segments, starts), strict=True):
             position = np.where(found.sound[:, None, None], found.position, 0.0)
             slopes = []
@@ -330,7 +254,7 @@ class _Neighbours:
 
     def separation(self, along: int, starts: Starts, places: Sequence[int]) -> Separation:
         """Of the trial that some of the segments make up."""
-        count, size = len(self.places), max(own.stop for own in self.places)
+        size = max(own.stop for own in self.places)
         gram, n = np.zeros((size, size)), 0
         for k in places:
             apart = self.predicted[k] - self.predicted[k][..., along : along + 1]
@@ -338,8 +262,7 @@ class _Neighbours:
             gram += rows.T @ rows
             n += apart.shape[0] * apart.shape[1]
         sound = np.all([self.sound[k] for k in places], axis=0)
-        others = tuple(replace(own, sound=bool(sound[own.column])) for own in self.others)
-        return Separation(along, gram, self.places, sound[:count], n, others)
+        return Separation(along, gram, self.places, sound, n)
 
 
 def _neighbours(rival: Rival, basis: Array | None) -> tuple[list[Array], Array]:
