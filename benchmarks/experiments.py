@@ -123,6 +123,8 @@ class Arm:
 def random_trial(rivals: Rivals, limits: Limits, rng: np.random.Generator, most_precise: bool) -> Commands:
     """A multisine of the whole range, or of random designs the one that is most precise, shrunk into the limits."""
     ground = Ground.of(rivals, limits, KnownCondition(), rivals.simulator(1))
+    if ground.law is not None:
+        raise ConfigError(f"{rivals.model.robot.name} rests under no constant command; proofs make no tracked trials")
     na, crowd = len(ground.rest), crowd_of(ground, rng, DRAWS)
     if most_precise:
         few, names = crowd.part(range(1 + LOOKED_AT)), list(FAMILIES)

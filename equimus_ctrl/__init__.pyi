@@ -65,6 +65,10 @@ from .errors import (
 )
 from .estimation.observer import Observer as Observer, ObserverSettings as ObserverSettings
 from .models.accelerations import accelerations as accelerations
+from .learning.randomisation import Draws as Draws
+from .learning.settings import EnvSettings as EnvSettings, KickSettings as KickSettings
+from .learning.tasks import Task as Task
+from .models.ball import Ball as Ball, add_ball as add_ball
 from .models.kinematics import Kinematics as Kinematics
 from .models.mjcf import (
     SolverSettings as SolverSettings,
@@ -90,6 +94,7 @@ from .options import (
     Shard as Shard,
     ValidateOptions as ValidateOptions,
 )
+from .plants.batch import BatchPlant as BatchPlant
 from .plants.events import Load as Load, PointForce as PointForce, Push as Push
 from .plants.hardware.plant import HardwarePlant as HardwarePlant
 from .plants.hardware.settings import HardwareSettings as HardwareSettings
@@ -169,6 +174,9 @@ from .workflow import (
     load_hardware as load_hardware,
     load_model as load_model,
     load_plugins as load_plugins,
+    make_env as make_env,
+    make_sb3_env as make_sb3_env,
+    make_vec_env as make_vec_env,
     measure_delay as measure_delay,
     prove as prove,
     read_recording as read_recording,

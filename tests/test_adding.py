@@ -87,6 +87,7 @@ def test_it_runs(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert len(done.run.time) == 60 and done.run.truth is not None
 
 
+@pytest.mark.slow
 def test_it_is_compared(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     words = ["compare", "nod", *OWN, "-c", "leaning", "-c", "open_loop", "--condition", "nominal"]
     found = told(capsys, *words, "--set", "duration=1", *QUIET)

@@ -31,6 +31,7 @@ ORDER: tuple[tuple[str, ...], ...] = (
     ("proof",),
     ("preflight",),
     ("report",),
+    ("learning",),
     ("options",),
     ("workflow",),
     ("cli",),

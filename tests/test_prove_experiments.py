@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Iterator
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -16,10 +17,11 @@ from equimus_ctrl.errors import ConfigError
 from equimus_ctrl.executors.local import OnThisComputer
 from equimus_ctrl.experiments.limits import Limits
 from equimus_ctrl.experiments.predicted import Commands
+from equimus_ctrl.models.model import Model
 from equimus_ctrl.options import ProveOptions, Shard
-from equimus_ctrl.proof import blind, chirps
+from equimus_ctrl.proof import blind, chirps, designing
 from equimus_ctrl.proof.answers import Case, Places
-from equimus_ctrl.proof.designing import Design, next_trial
+from equimus_ctrl.proof.designing import Design, Designing, next_trial
 from equimus_ctrl.proof.designs import TrialDesign
 from equimus_ctrl.proof.further import further, trial_design
 from equimus_ctrl.proof.legs import Legs
@@ -31,6 +33,7 @@ from equimus_ctrl.recordings.folders import write_text
 from equimus_ctrl.report import style
 from equimus_ctrl.report.proof_experiments import experiment_sheets, experiments_figure
 from equimus_ctrl.robots.elastic.leg import nominal_leg
+from equimus_ctrl.types import FeedbackLaw
 from equimus_ctrl.workflow import load_model, proof_experiments
 from equimus_ctrl.workflow import proofs as workflow
 from equimus_ctrl.workflow.proofs import experiment_of, prove
@@ -236,6 +239,17 @@ def test_a_known_condition_is_one_of_the_true_robot() -> None:
     )
     assert loaded.recording.notes == {"payload.foot": "0.3"}
     assert np.abs(usual.motion - loaded.motion).max() > 0.05  # it rests elsewhere
+
+
+def test_a_trial_that_has_to_be_tracked_is_none_that_a_proof_makes(monkeypatch: pytest.MonkeyPatch) -> None:
+    law = FeedbackLaw(np.ones((2, 2)), np.ones((2, 2)), 0.01)
+    tracked = Commands(np.zeros(1), np.zeros((1, 2)), 1.0, None, {}, np.zeros((1, 2)), law)
+    two = SimpleNamespace(rivals=[0, 1], rate=100.0, notes={}, simulator=lambda threads: None)
+    monkeypatch.setattr(designing.Rivals, "from_dict", lambda left, model: two)
+    monkeypatch.setattr(designing, "designed", lambda *_, **__: SimpleNamespace(commands=tracked))
+    model = Model(nominal_leg())
+    own = Design.from_dict(json.loads(next_trial({}, model, Designing(Limits.of(model.robot)), 0, 1, {})))
+    assert own.end == "none" and own.commands is None and "proofs make no tracked trials" in own.said
 
 
 def test_further_trials_repeat_and_differ_from_each_other() -> None:

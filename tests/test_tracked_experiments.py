@@ -61,6 +61,7 @@ def file_of(tmp_path: Path, law: FeedbackLaw) -> tuple[Path, Array, Array]:
     return path, feed, reference
 
 
+@pytest.mark.slow
 def test_joints_go_back_as_critically_damped_systems_do() -> None:
     """A mass under no gravity: e(t) = e₀ (1 + ωt) exp(−ωt), but for samples and the filter."""
     robot, omega = Model(cart()), 2 * np.pi * 0.5

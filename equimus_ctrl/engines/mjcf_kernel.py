@@ -123,6 +123,63 @@ def run_mjcf(
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
+def exert_laws(
+    rows: NDArray[np.int64],
+    places: NDArray[np.int64],
+    laws: Array,
+    loss: Array,
+    states: Array,
+    qpos: Array,
+    qvel: Array,
+    driven: Array,
+    dt: float,
+    applied: Array,
+    frictionloss: Array,
+) -> None:
+    """What ``run_mjcf`` does before a step, of many robots.
+
+    Args:
+        rows: of which.
+        places: (nj, 3) as there.
+        laws: (n, nj, nc) of each.
+        loss: (n, nj) of each.
+        states: (n, nj, nz) of each.
+        qpos: (n, nq).
+        qvel: (n, nv).
+        driven: (n, nv) generalised forces of actuators over the last step.
+        dt: physics step [s].
+        applied: (n, nv) written.
+        frictionloss: (n, nv) written.
+    """
+    for e in rows:
+        for j in range(len(places)):
+            dof = places[j, 1]
+            at = (qpos[e, places[j, 0]], qvel[e, dof], driven[e, places[j, 2]], dt)
+            found = joint_force(at, state_tuple(states[e, j]), laws[e, j])
+            applied[e, dof], frictionloss[e, dof] = found[0], loss[e, j] + found[1]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def move_laws(
+    rows: NDArray[np.int64],
+    places: NDArray[np.int64],
+    laws: Array,
+    states: Array,
+    qpos: Array,
+    qvel: Array,
+    driven: Array,
+    dt: float,
+) -> None:
+    """What ``run_mjcf`` does after a step, of many robots; see ``exert_laws``."""
+    for e in rows:
+        for j in range(len(places)):
+            at = (qpos[e, places[j, 0]], qvel[e, places[j, 1]], driven[e, places[j, 2]], dt)
+            found = joint_force(at, state_tuple(states[e, j]), laws[e, j])
+            for s in range(N_STATES):
+                states[e, j, s] += found[2 + s]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
 def drive_forces(
     functions: NDArray[np.int64],
     model: int,

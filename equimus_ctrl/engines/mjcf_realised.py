@@ -26,6 +26,7 @@ from equimus_ctrl.engines import compiled
 from equimus_ctrl.engines.trials import Trial
 from equimus_ctrl.errors import NotAvailable
 from equimus_ctrl.models.augmented import Laws
+from equimus_ctrl.models.mjcf import Scene
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.robots.mjcf.parts import rotor_of
 from equimus_ctrl.robots.mjcf.robot import MjcfRobot, mjcf_of
@@ -85,7 +86,13 @@ class Realised:
     rows: dict[Hashable, Array] = field(default_factory=dict)
 
 
-def realise(model: Model, trial: Trial | None = None, dt: float | None = None, hard_friction: bool = True) -> Realised:
+def realise(
+    model: Model,
+    trial: Trial | None = None,
+    dt: float | None = None,
+    hard_friction: bool = True,
+    scene: Scene | None = None,
+) -> Realised:
     """What MuJoCo and the kernel need of an MJCF robot with effects.
 
     Args:
@@ -93,10 +100,11 @@ def realise(model: Model, trial: Trial | None = None, dt: float | None = None, h
         trial: in which some parameters are known to be others.
         dt: another physics step than the XML's [s].
         hard_friction: whether effects' dry friction holds what it stops; else it creeps as the XML's constraints do.
+        scene: adds what stands around it.
     """
     given = mjcf_of(model.robot)
     robot = changed_bodies(model.effects, given if trial is None else trial.robot_in(given))
-    own = robot.mujoco_model(dt)
+    own = robot.mujoco_model(dt, scene)
     # To look which constraints hang together takes longer than to solve those of a few joints at once.
     own.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_ISLAND
     dofs = {joint.name: int(own.joint(joint.name).dofadr[0]) for joint in robot.joints}
@@ -165,6 +173,11 @@ def _sizes() -> attrgetter[tuple[int, ...]]:
     """A model's sizes, on which its ``MjData`` depends: MuJoCo would write beyond the ends of another's."""
     model = mujoco.MjModel.from_xml_string("<mujoco/>")
     return attrgetter(*(name for name in dir(model) if name.startswith("n") and isinstance(getattr(model, name), int)))
+
+
+def sizes_of(model: Any) -> tuple[int, ...]:
+    """All sizes of a model."""
+    return _sizes()(model)
 
 
 class _Scratch(local):

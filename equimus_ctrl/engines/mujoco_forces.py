@@ -8,12 +8,15 @@ tendon that measures an actuator's length.
 from __future__ import annotations
 
 from functools import lru_cache
+from typing import Any
 
 import casadi as ca
 import mujoco
 import numpy as np
+from numpy.typing import NDArray
 
 from equimus_ctrl.effects.force import laws_of
+from equimus_ctrl.engines.native import native
 from equimus_ctrl.models.augmented import Laws, augmented_model, law_parameters
 from equimus_ctrl.models.buffered import Buffered
 from equimus_ctrl.models.model import Model
@@ -52,7 +55,8 @@ class ForceStepper:
         augmented = augmented_model(form, model.phase, laws)
         names = robot.joint_names, robot.actuator_names
         self._parameters = np.concatenate([pack(robot), law_parameters(augmented.slots, model.effects, *names)])
-        forces, self._rest = _functions(form, model.phase, laws)
+        self.functions = _functions(form, model.phase, laws)
+        forces, self._rest = self.functions
         self._forces = Buffered(forces)
         self._forces.arguments[-1][:] = self._parameters
         self._model = mujoco_model
@@ -111,3 +115,69 @@ class ForceStepper:
                 self._model.dof_frictionloss[self._dof[i]] = size
             else:
                 self._model.tendon_frictionloss[self._tendons[i]] = size
+
+
+class ForceBatch:
+    """``ForceStepper`` for many robots of one structure with the same effects, in a ``mujoco.batch.Batch``.
+
+    Args:
+        first: of one of them.
+        runs: the batch; rates and angles are read there, what is exerted is written there.
+    """
+
+    def __init__(self, first: ForceStepper, runs: Any) -> None:
+        n = runs.nsim
+        self._first = first
+        forces = first.functions[0]
+        self._forces = Buffered((native(forces, "forces") or forces).map(n))
+        self._runs = runs
+        self._qpos, self._qvel, self._ctrl, self._qacc, self._applied = (
+            runs.bind(name) for name in ("qpos", "qvel", "ctrl", "qacc", "qfrc_applied")
+        )
+        self._losses = [
+            (runs.expand("dof_frictionloss"), first._dof[i])
+            if kind == "joint"
+            else (runs.expand("tendon_frictionloss"), first._tendons[i])
+            for kind, i in first._rubbing
+        ]
+        self._half = 0.5 * first._model.opt.timestep
+        q, v, z, pressure, p = (array.reshape(n, -1) for array in self._forces.arguments)
+        self._own = q, v, z, pressure, p
+        self._z: Array = np.zeros((n, first._z.size))
+        self._begins = np.zeros(n, dtype=bool)
+        self._torque, self._force, self._rate, self._bound = (
+            part.T if part.ndim > 1 and part.size else part.reshape(n, -1) for part in self._forces.results
+        )
+
+    def begin(self, row: int, stepper: ForceStepper, q: Array) -> None:
+        """One of the robots has rested for long at joint angles q (nj,) [rad]."""
+        self._own[4][row] = stepper._parameters
+        self._z[row] = np.array(stepper._rest(q, stepper._parameters)).ravel()
+        self._begins[row] = True
+
+    def apply(self, rows: NDArray[np.int64]) -> None:
+        """``ForceStepper.apply`` of some of them."""
+        first, half = self._first, self._half
+        q, v, z, pressure, _ = self._own
+        q[:], v[:] = self._qpos[:, first._qpos], self._qvel[:, first._dof]
+        z[:], pressure[:] = self._z, self._ctrl[:, first._actuators]
+        self._forces()
+        if self._begins[rows].any():
+            new = rows[self._begins[rows]]
+            self._exert(new)
+            self._runs.forward(ids=new)
+            self._begins[new] = False
+        a, rate = self._qacc[:, first._dof], self._rate.copy()
+        q += half * v + 0.5 * half * half * a
+        v += half * a
+        z += half * rate
+        self._forces()
+        self._z[rows] += 2 * half * self._rate[rows]
+        self._exert(rows)
+
+    def _exert(self, rows: NDArray[np.int64]) -> None:
+        self._applied[np.ix_(rows, self._first._dof)] = self._torque[rows]
+        for i, slides in enumerate(self._first._slides):
+            self._applied[np.ix_(rows, slides)] = self._force[rows, i, None]
+        for k, (loss, place) in enumerate(self._losses):
+            loss[rows, place] = self._bound[rows, k]

@@ -10,7 +10,9 @@ MuJoCo's x is the morphology's x and its z points up, so (x, y) becomes (x, 0, â
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -26,6 +28,9 @@ POINT_INERTIA = 1e-9  # MuJoCo wants more than none; a millionth of a link's
 STOP_IMPEDANCE = 1e-4  # the least MuJoCo allows: the limit then acts as the plain spring and damper it stands for
 STOP_SOLIMP = (STOP_IMPEDANCE, STOP_IMPEDANCE, 0.001, 0.5, 2.0)
 ABSENT_STOP = 1e3  # where the limit of a missing stop is put [rad]
+
+Scene = Callable[[Any], None]
+"""Adds to an ``mujoco.MjSpec`` of a robot what stands around it, such as ``models.ball.add_ball``."""
 
 
 @dataclass(frozen=True)
@@ -318,7 +323,10 @@ def _draw_link(body: mujoco.MjsBody, length: float) -> None:
 
 
 def compile_model(
-    morphology: Morphology, phase: Phase = "swing", settings: SolverSettings | None = None
+    morphology: Morphology,
+    phase: Phase = "swing",
+    settings: SolverSettings | None = None,
+    scene: Scene | None = None,
 ) -> mujoco.MjModel:
     """The compiled MuJoCo model of a morphology, with its joint stops set.
 
@@ -330,8 +338,11 @@ def compile_model(
         morphology: the robot.
         phase: base fixed or foot pinned.
         settings: of MuJoCo's solver.
+        scene: adds what stands around it.
     """
     spec = build_spec(morphology, phase, settings)
+    if scene is not None:
+        scene(spec)
     model = compile_with_stops(spec, morphology)
     if settings is not None and settings.softness != 1.0:
         # What an equality gives way is proportional to these; the joint stops use the hinges' alone.

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from equimus_ctrl.effects.base import Robots
+from equimus_ctrl.models.mjcf import Scene
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.plants.elastic_body import ElasticBody
 from equimus_ctrl.plants.mjcf_body import MjcfBody
@@ -73,15 +74,18 @@ class Body(Protocol):
         ...
 
 
-BODIES_OF: dict[Robots, Callable[[Model, float], Body]] = {"elastic": ElasticBody, "mjcf": MjcfBody}
-"""Kind of robots (``RobotTraits.catalogue``) → its body, by a model and the physics step [s]."""
+Make = Callable[[Model, float, Scene | None, str | None], Body]
+BODIES_OF: dict[Robots, Make] = {"elastic": ElasticBody, "mjcf": MjcfBody}
+"""Kind of robots (``RobotTraits.catalogue``) → its body, see ``body_of``."""
 
 
-def body_of(model: Model, dt: float) -> Body:
+def body_of(model: Model, dt: float, scene: Scene | None = None, integrator: str | None = None) -> Body:
     """A model in MuJoCo.
 
     Args:
         model: with its effects.
         dt: physics step [s].
+        scene: adds what stands around it.
+        integrator: of MuJoCo's, where its description names none; the one that follows its motion by default.
     """
-    return BODIES_OF[model.robot.traits.catalogue](model, dt)
+    return BODIES_OF[model.robot.traits.catalogue](model, dt, scene, integrator)

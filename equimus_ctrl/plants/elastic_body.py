@@ -19,7 +19,7 @@ from equimus_ctrl.engines.mujoco_batch import FAST_SETTINGS
 from equimus_ctrl.engines.mujoco_forces import ForceStepper
 from equimus_ctrl.engines.rest import rest_pose
 from equimus_ctrl.models.kinematics import Kinematics
-from equimus_ctrl.models.mjcf import compile_model, place
+from equimus_ctrl.models.mjcf import Scene, compile_model, place
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.plants.loads import numbers_of
 from equimus_ctrl.quiet import step_quietly
@@ -32,15 +32,18 @@ class ElasticBody:
     Args:
         model: with its effects.
         dt: physics step [s].
+        scene: adds what stands around it.
+        integrator: of MuJoCo's; that of ``FAST_SETTINGS`` by default.
     """
 
-    def __init__(self, model: Model, dt: float) -> None:
-        self._model, self._settings = model, replace(FAST_SETTINGS, timestep=dt)
+    def __init__(self, model: Model, dt: float, scene: Scene | None = None, integrator: str | None = None) -> None:
+        self._settings = replace(FAST_SETTINGS, timestep=dt, integrator=integrator or FAST_SETTINGS.integrator)
+        self._model = model
         self._robot = changed_bodies(model.effects, model.morphology)
         self._kinematics = Kinematics(self._robot, model.phase)
-        self.mujoco_model = compile_model(self._robot, model.phase, self._settings)
+        self.mujoco_model = compile_model(self._robot, model.phase, self._settings, scene)
         self.mujoco_model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET.value
-        self._forces = ForceStepper(model, self._robot, self.mujoco_model)
+        self.forces = ForceStepper(model, self._robot, self.mujoco_model)
         self.data = mujoco.MjData(self.mujoco_model)
         joints = [self.mujoco_model.joint(name) for name in model.morphology.joint_names]
         self.qpos = np.array([joint.qposadr[0] for joint in joints])
@@ -61,15 +64,15 @@ class ElasticBody:
         """As of any body; elements are closed."""
         mujoco.mj_resetData(self.mujoco_model, self.data)
         place(self.mujoco_model, self.data, self._kinematics, position, velocity)
-        self._forces.reset(position)
+        self.forces.reset(position)
 
     def exert(self) -> None:
         """As of any body."""
-        self._forces.apply(self.data)
+        self.forces.apply(self.data)
 
     def advance(self, pushes: Sequence[Array]) -> bool:
         """As of any body."""
-        if not self._forces.active:
+        if not self.forces.active:
             self.data.qfrc_applied[:] = 0.0
         for torque in pushes:
             self.data.qfrc_applied[self.dof] += torque

@@ -19,6 +19,7 @@ from equimus_ctrl.engines.mjcf_realised import LOST, function_address, realise
 from equimus_ctrl.engines.rest import rest_pose
 from equimus_ctrl.errors import ConfigError, NotAvailable
 from equimus_ctrl.models.dynamics import Dynamics
+from equimus_ctrl.models.mjcf import Scene
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.plants.loads import numbers_of
 from equimus_ctrl.quiet import quietly
@@ -32,19 +33,21 @@ class MjcfBody:
     Args:
         model: with its effects.
         dt: physics step [s].
+        scene: adds what stands around it.
+        integrator: none but the XML's own.
 
     Raises:
         ConfigError: where the motion of some joints is an input, which no plant has.
     """
 
-    def __init__(self, model: Model, dt: float) -> None:
+    def __init__(self, model: Model, dt: float, scene: Scene | None = None, integrator: str | None = None) -> None:
         robot = mjcf_of(model.robot)
         if robot.prescribed_names:
             raise ConfigError(
                 f"{robot.name}: the motion of {', '.join(robot.prescribed_names)} is an input, expected none in a plant"
             )
         self._model, self._dt = model, dt
-        self._own = own = realise(model, dt=dt)
+        self.realised = self._own = own = realise(model, dt=dt, scene=scene)
         self._home = own.robot.home
         self.mujoco_model = own.mujoco
         self.mujoco_model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET.value

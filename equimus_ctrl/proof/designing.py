@@ -11,7 +11,7 @@ import numpy as np
 
 from equimus_ctrl.computer import keep_freed_memory
 from equimus_ctrl.diagnosis.rivals import Rivals
-from equimus_ctrl.errors import EquimusError, one_line
+from equimus_ctrl.errors import EquimusError, NotAvailable, one_line
 from equimus_ctrl.experiments.conditions import KnownCondition
 from equimus_ctrl.experiments.design import LIMIT_DRAWS, designed
 from equimus_ctrl.experiments.limits import Limits
@@ -132,6 +132,8 @@ def next_trial(
                 rivals, designing.limits, seed=seed, evaluations=designing.evaluations, draws=designing.draws,
                 conditions=designing.conditions, simulator=rivals.simulator(1),
             )  # fmt: skip
+            if own.commands.law is not None:
+                raise NotAvailable(f"{model.robot.name} rests under no constant command; proofs make no tracked trials")
             found |= {
                 "commands": {
                     "times": own.commands.times.tolist(),

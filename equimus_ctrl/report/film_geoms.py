@@ -164,22 +164,18 @@ class Geoms:
     @cached_property
     def shown(self) -> list[int]:
         """Geoms that are seen, planes last."""
-        model = self.model
-        found = [g for g in range(model.ngeom) if model.geom_group[g] < SEEN_GROUPS and _colour(model, g)[3] > 0]
-        return sorted(found, key=lambda g: int(model.geom_type[g]) == PLANE)
+        return seen_geoms(self.model)
 
     @cached_property
     def camera(self) -> Camera:
         """See ``camera_for``."""
         model, film = self.model, self.film
-        corners = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
         moving, still = [self.trail], []
         solid = [g for g in self.shown if int(model.geom_type[g]) != PLANE]
         for k, qpos in enumerate(self.qpos[:: max(len(self.qpos) // LOOKED_AT, 1)]):
             data = self.place(qpos)
             for g in solid:
-                box = model.geom_aabb[g].reshape(2, 3)
-                points = data.geom_xpos[g] + (box[0] + corners * box[1]) @ data.geom_xmat[g].reshape(3, 3).T
+                points = _corners(model, data, g)
                 if model.body_weldid[model.geom_bodyid[g]]:
                     moving.append(points)
                 elif k == 0:
@@ -304,28 +300,72 @@ class GeomPictures:
         """The pictures in order."""
         film, geoms = self.film, Geoms(self.film)
         camera, size = geoms.camera, (SHARPER * film.width, SHARPER * film.height)
-        surfaces = {g: _surface(geoms.model, g) for g in geoms.shown if int(geoms.model.geom_type[g]) != PLANE}
+        surfaces = _surfaces(geoms.model, geoms.shown)
         lines = [camera.pixels(dash, *size)[0] for dash in dashes(geoms)]
         trail = camera.pixels(geoms.trail, *size)[0]
         for k, qpos in enumerate(geoms.qpos):
             image = Image.new("RGB", size, "white")
             draw = ImageDraw.Draw(image)
-            data = geoms.place(qpos)
-            drawn = []
-            for g, local in surfaces.items():
-                points = data.geom_xpos[g] + local @ data.geom_xmat[g].reshape(3, 3).T
-                places, deep = camera.pixels(points, *size)
-                drawn.append((float(deep.mean()), g, places))
-            for _, g, places in sorted(drawn, key=lambda one: -one[0]):
-                fill = tuple(round(255 * part) for part in _colour(geoms.model, g)[:3])
-                edge = tuple(round(0.6 * part) for part in fill)
-                draw.polygon([tuple(p) for p in _outline(places)], fill=fill, outline=edge)
+            _draw(draw, geoms.model, geoms.place(qpos), surfaces, camera, size)
             for line in lines:
                 draw.line([tuple(p) for p in line], fill=style.REFERENCE, width=2 * SHARPER)
             path = trail[max(k - film.trail_frames, 0) : k + 1]
             if len(path) > 1:
                 draw.line([tuple(p) for p in path], fill=style.FOOT, width=2 * SHARPER)
             yield np.asarray(image.resize((film.width, film.height), Image.Resampling.LANCZOS))
+
+
+def outlined(model: Any, data: Any, camera: Camera, width: int, height: int) -> Frame:
+    """One picture of a MuJoCo model's geoms as outlines, the nearest last; planes are left out."""
+    size = SHARPER * width, SHARPER * height
+    image = Image.new("RGB", size, "white")
+    _draw(ImageDraw.Draw(image), model, data, _surfaces(model, seen_geoms(model)), camera, size)
+    return np.asarray(image.resize((width, height), Image.Resampling.LANCZOS))
+
+
+def camera_around(model: Any, data: Any, width: int, height: int, room: float = 0.0) -> Camera:
+    """The camera that sees a MuJoCo model in a pose.
+
+    Args:
+        model: MuJoCo's.
+        data: its data, with places of geoms.
+        width: of the picture [pixel].
+        height: [pixel].
+        room: how much is to be seen beside, over the size of what is there.
+    """
+    points = np.concatenate([_corners(model, data, g) for g in seen_geoms(model) if int(model.geom_type[g]) != PLANE])
+    middle = (points.max(axis=0) + points.min(axis=0)) / 2
+    return camera_for(points, middle + (1 + room) * (points - middle), width, height)
+
+
+def seen_geoms(model: Any) -> list[int]:
+    """Geoms that are seen, planes last."""
+    found = [g for g in range(model.ngeom) if model.geom_group[g] < SEEN_GROUPS and _colour(model, g)[3] > 0]
+    return sorted(found, key=lambda g: int(model.geom_type[g]) == PLANE)
+
+
+def _corners(model: Any, data: Any, g: int) -> Array:
+    """(8, 3) corners of the box around a geom [m]."""
+    corners = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
+    box = model.geom_aabb[g].reshape(2, 3)
+    return np.asarray(data.geom_xpos[g] + (box[0] + corners * box[1]) @ data.geom_xmat[g].reshape(3, 3).T)
+
+
+def _surfaces(model: Any, geoms: list[int]) -> dict[int, Array]:
+    return {g: _surface(model, g) for g in geoms if int(model.geom_type[g]) != PLANE}
+
+
+def _draw(draw: Any, model: Any, data: Any, surfaces: dict[int, Array], camera: Camera, size: tuple[int, int]) -> None:
+    """Outlines of geoms where they are, the nearest last."""
+    drawn = []
+    for g, local in surfaces.items():
+        points = data.geom_xpos[g] + local @ data.geom_xmat[g].reshape(3, 3).T
+        places, deep = camera.pixels(points, *size)
+        drawn.append((float(deep.mean()), g, places))
+    for _, g, places in sorted(drawn, key=lambda one: -one[0]):
+        fill = tuple(round(255 * part) for part in _colour(model, g)[:3])
+        edge = tuple(round(0.6 * part) for part in fill)
+        draw.polygon([tuple(p) for p in _outline(places)], fill=fill, outline=edge)
 
 
 def _outline(points: Array) -> Array:

@@ -114,8 +114,13 @@ def check_viewer(web: bool = False) -> str:
             f"MuJoCo's viewer cannot be loaded ({one_line(str(error))}); pip install mujoco-studio=="
             f"{mujoco.__version__} brings it"
         ) from None
-    screen = not sys.platform.startswith("linux") or os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
-    return "web" if web or not screen else ""
+    return "web" if web or not has_screen() else ""
+
+
+def has_screen() -> bool:
+    """Whether a window can be seen; where it cannot, MuJoCo's viewer ends the process."""
+    linux = sys.platform.startswith("linux")
+    return not linux or bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
 
 
 def check_host(host: str) -> str:

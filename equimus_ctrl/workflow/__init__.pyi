@@ -31,6 +31,12 @@ from .identifications import (
     sensitivity as sensitivity,
     simulator_of as simulator_of,
 )
+from .learning import (
+    make_env as make_env,
+    make_episodes as make_episodes,
+    make_sb3_env as make_sb3_env,
+    make_vec_env as make_vec_env,
+)
 from .linearisations import Linearised as Linearised, linearise as linearise
 from .listings import Listing as Listing, list_names as list_names
 from .logs import (

@@ -39,6 +39,7 @@ from equimus_ctrl.robots.mjcf.parts import (
     Tether,
     hardness,
     with_parts,
+    with_parts_spec,
 )
 from equimus_ctrl.robots.mjcf.plan import Assets, Plan, plan_of, spec_of
 from equimus_ctrl.robots.mjcf.prescribing import ease_solver, prescribed_positions, recorded_columns, suited_turns
@@ -437,13 +438,14 @@ class MjcfRobot(Driven):
         """What compiled equations of motion cannot hold of it, a phrase each; contacts are another matter."""
         return _obstacles(self.xml, self.beside_xml)
 
-    def mujoco_model(self, timestep: float | None = None) -> Any:
+    def mujoco_model(self, timestep: float | None = None, scene: Callable[[Any], None] | None = None) -> Any:
         """An ``mujoco.MjModel`` of one's own with all of this in it.
 
         Args:
             timestep: another physics step than the XML's [s].
+            scene: adds to an ``mujoco.MjSpec`` what stands around the robot.
         """
-        model = copy.copy(self._base())
+        model = copy.copy(self._base()) if scene is None else self._within(scene)
         model.opt.timestep = timestep or model.opt.timestep
         write(model, self)
         mujoco.mj_setConst(model, mujoco.MjData(model))
@@ -454,6 +456,12 @@ class MjcfRobot(Driven):
     def _base(self) -> Any:
         """MuJoCo's model of the file, with what ``with_parts`` adds to it; not to be changed."""
         return with_parts(self.xml, self.beside_xml, self.parts) if self.parts else self.plan.base
+
+    def _within(self, scene: Callable[[Any], None]) -> Any:
+        """``_base`` with what stands around it."""
+        spec = with_parts_spec(self.xml, self.beside_xml, self.parts)
+        scene(spec)
+        return spec.compile()
 
     @property
     def parts(self) -> Parts:
