@@ -66,6 +66,13 @@ def test_beside_an_effect_of_known_size_all_else_is_refitted(diagnosis: Diagnosi
     assert again.deviance == pytest.approx(rubbing.deviance, abs=1.0)
 
 
+def test_rivals_are_found_once(diagnosis: Diagnosis) -> None:
+    """Those of known size are fits: whoever asks again has the same."""
+    again = replace(diagnosis)
+    assert again.rivals is again.rivals
+    assert replace(again, nearest=(diagnosis.base,), explanations=()).rivals.rivals[1].accepted is False
+
+
 def test_the_information_is_that_of_all_unknowns_together(diagnosis: Diagnosis) -> None:
     """By the inverse of the information of parameters and starts, which is the covariance of them all."""
     fit, noise = diagnosis.best.fit, diagnosis.best.noise

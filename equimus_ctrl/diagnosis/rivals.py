@@ -129,14 +129,6 @@ class Rival(Short):
             found.append(np.clip(self.theta + free.scale * change, free.low, free.high))
         return np.array(found)
 
-    def as_free_as(self, other: Rival) -> bool:
-        """Whether the same is free in both, and as known: they differ in what is not free alone."""
-        return self is other or (
-            self.parameters.free == other.parameters.free
-            and np.array_equal(self.theta, other.theta)
-            and np.array_equal(self.information, other.information)
-        )
-
     @property
     def n_effect_parameters(self) -> int:
         """How many free parameters are of effects: those that Schwarz's criterion counts."""

@@ -193,12 +193,9 @@ def _models(rivals: Rivals, draws: int, rng: np.random.Generator) -> list[Model]
 
 
 def _few_models(rivals: Rivals, count: int, rng: np.random.Generator) -> list[Model]:
-    """All rivals with their estimates, and about so many in all with draws: rivals that are as free share these."""
-    several = rivals.rivals
-    different = [a for k, a in enumerate(several) if not any(a.as_free_as(b) for b in several[:k])]
-    draws = max((count - len(several)) // len(different), 1)
-    found = [rival.model for rival in several]
-    return found + [rival.model_at(theta) for rival in different for theta in rival.draws(rng, draws)]
+    """All rivals with their estimates, and about so many in all with draws."""
+    several = len(rivals.rivals)
+    return _models(rivals, max((count - several) // several, 1), rng)
 
 
 def _candidates(arms: Sequence[Arm]) -> list[tuple[Arm, Array]]:

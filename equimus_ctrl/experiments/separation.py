@@ -62,7 +62,7 @@ class Separation:
     Attributes:
         along: the rival that is simulated as the truth.
         gram: (R + Σq, R + Σq) of [y − y of ``along``, U]: all predictions, then each rival's derivatives, whitened.
-        places: for each rival those of its derivatives, the same for rivals that are as free as each other.
+        places: for each rival those of its derivatives.
         sound: (R,) which rivals' simulations went through; what did not is at no distance from anything.
         n: how many numbers the trial measures.
     """
@@ -216,18 +216,14 @@ class _Neighbours:
         by, several = difference(rivals.model, simulator), rivals.rivals
         models = [rival.model for rival in several]
         shown, turns, first = len(models), list[Array](), list[int]()
-        known, places = dict[int, slice](), list[slice]()
+        places, begin = list[slice](), shown
         for k, rival in enumerate(several):
-            # What would just not have been seen changes no derivatives that the recordings would show.
-            twin = next(j for j, other in enumerate(several) if rival.as_free_as(other))
-            if twin == k:
-                points, turn = _neighbours(rival, None if bases is None else bases[k])
-                first.append(len(models))
-                models += [rival.model_at(theta) for theta in points]
-                turns.append(turn)
-                begin = shown + sum(own.shape[1] for own in turns[:-1])
-                known[k] = slice(begin, begin + turn.shape[1])
-            places.append(known[twin])
+            points, turn = _neighbours(rival, None if bases is None else bases[k])
+            first.append(len(models))
+            models += [rival.model_at(theta) for theta in points]
+            turns.append(turn)
+            places.append(slice(begin, begin + turn.shape[1]))
+            begin += turn.shape[1]
         most = max(len(segment.free_at) for segment in segments)
         begun = len(models)
         models += [several[along].model] * most
