@@ -15,7 +15,7 @@ from equimus_ctrl.experiments.power import Power, powers
 from equimus_ctrl.experiments.predicted import Commands, predicted_trials
 from equimus_ctrl.experiments.refitting import NoiseScale, Target, Task, drawn_noise, refitted, refitted_all
 from equimus_ctrl.experiments.separation import separations
-from equimus_ctrl.identification.noise import JointNoise, estimate_noise
+from equimus_ctrl.identification.noise import JointNoise, estimate_noise, whiten
 
 SWING = Commands(np.array([0.0, 0.5, 1.2]), np.array([[0.3], [-0.8], [0.9]]), 2.0)
 
@@ -100,6 +100,26 @@ def test_where_noise_is_estimated_along_a_large_gap_is_smaller() -> None:
     # Of a small one, χ² of what is left, give or take what noise does.
     assert seen(0.5) == pytest.approx(0.25 * (wave**2).sum(), abs=2 * 2 * np.sqrt(0.25 * (wave**2).sum()))
     assert seen(5.0) < seen(20.0) < 0.1 * 400 * (wave**2).sum()
+
+
+def test_what_the_recordings_so_far_lose_counts_as_well() -> None:
+    """Under noise that is estimated along, as much as if it were left in so long a trial."""
+    rivals = of_a_pendulum()
+    same = tuple(replace(rival, noise=rivals.noise) for rival in rivals.rivals)
+    rivals = replace(rivals, rivals=same, n=200)
+    time = np.arange(200) / rivals.rate
+    wave = 0.7 * rivals.noise[0].sigma * np.sin(7 * time)[:, None]
+    cost = float((whiten(rivals.noise, time, wave[..., None]) ** 2).sum())
+
+    def seen(earlier: float) -> float:
+        return NoiseScale(rivals).estimated(0, 1, 1, [time], [wave], earlier)
+
+    assert seen(0.0) < seen(0.5 * cost) < seen(cost) < 2 * cost
+    assert seen(cost) == pytest.approx(2 * seen(0.0), rel=0.3)
+    found = refitted(rivals.rivals[1], target(rivals, SWING))
+    own = rivals.rivals[1]
+    away = (found.theta - own.theta) / own.parameters.scale
+    assert found.earlier == pytest.approx(away @ own.precision @ away) and 0 < found.earlier < found.cost
 
 
 def test_power_grows_with_what_is_ahead_and_with_the_gap() -> None:

@@ -1,8 +1,9 @@
 """The power of a trial: by how much it would favour the true rival, and the chance that it settles a pair.
 
-If rival i is true with parameters θᵢ, −2Δln L of a trial against rival j refitted is close to G + 2√G ξ, G what it is
-without noise and ξ standard normal. The pair is settled where that, and what the recordings so far say, D, is more than
-what a diagnosis asks for, δ (``margin``); the chance of it is the mean over what is known of θᵢ of
+If rival i is true with parameters θᵢ, −2Δln L of a trial against rival j is close to G + 2√G ξ, G what it is without
+noise and ξ standard normal. Both are refitted to the trial and what the recordings so far say of them, and the noise is
+estimated anew with what either leaves. The pair is settled where that, and what the recordings so far say, D, is more
+than what a diagnosis asks for, δ (``margin``); the chance of it is the mean over what is known of θᵢ of
 
     Φ((G + D − δ)/(2√G))
 """
@@ -24,7 +25,7 @@ from equimus_ctrl.diagnosis.scoring import equally_good
 from equimus_ctrl.diagnosis.thresholds import Thresholds
 from equimus_ctrl.errors import SimulationDiverged
 from equimus_ctrl.experiments.predicted import Commands, predicted_trials
-from equimus_ctrl.experiments.refitting import NoiseScale, Refit, Target, Task, refitted_all
+from equimus_ctrl.experiments.refitting import NoiseScale, Target, Task, refitted_all
 from equimus_ctrl.experiments.separation import Separation, separations
 from equimus_ctrl.identification.simulators import Simulator
 from equimus_ctrl.shown import Short
@@ -122,13 +123,14 @@ def powers(
         (apart[first],) = separations(rivals, [commands], along=first, simulator=simulator)
         rival = rivals.rivals[first]
         thetas = rival.draws(rng, draws) if draws else rival.theta[None]
-        truths[first] = _truths(rivals, commands, apart[first], thetas, simulator)
-    tasks = [(i, j, truth) for i, j in wanted for truth in truths[i]]
+        truths[first] = _truths(rivals, first, commands, thetas, simulator)
+    whole = list(dict.fromkeys([*((i, i) for i in truths), *wanted]))
+    tasks = [(i, j, truth) for i, j in whole for truth in truths[i]]
     refits = refitted_all([_task(rivals, apart[i], j, truth) for i, j, truth in tasks])
-    scale, found = NoiseScale(rivals), dict[tuple[int, int], list[tuple[_Truth, Refit]]]()
+    scale, seen = NoiseScale(rivals), dict[tuple[int, int], list[float]]()
     for (i, j, truth), refit in zip(tasks, refits, strict=True):
-        found.setdefault((i, j), []).append((truth, refit))
-    return [_power(rivals, apart[i], j, found[i, j], scale) for i, j in wanted]
+        seen.setdefault((i, j), []).append(scale.seen(i, j, truth.number, truth.target.times, refit))
+    return [_power(rivals, apart[i], j, np.array(seen[i, j]) - seen[i, i]) for i, j in wanted]
 
 
 @dataclass(frozen=True, eq=False)
@@ -137,19 +139,18 @@ class _Truth:
 
     Attributes:
         number: of the draw.
+        theta: (p,) it [unit of each].
         target: what it shows in the trial.
-        lost: what the true rival itself loses by refitting from its own estimates to the draw, to first order.
     """
 
     number: int
+    theta: Array
     target: Target
-    lost: float
 
 
-def _truths(rivals: Rivals, commands: Commands, apart: Separation, thetas: Array, simulator: Simulator) -> list[_Truth]:
-    """Draws of the rival along which a trial was simulated; those that diverge are left out."""
-    rival = rivals.rivals[apart.along]
-    own = apart.gram[apart.places[apart.along], apart.places[apart.along]]
+def _truths(rivals: Rivals, first: int, commands: Commands, thetas: Array, simulator: Simulator) -> list[_Truth]:
+    """Draws of a rival; those that diverge are left out."""
+    rival = rivals.rivals[first]
     threads = computer.worker_count(simulator.threads, name="threads")
 
     def shown(draw: tuple[int, Array]) -> _Truth | None:
@@ -159,9 +160,7 @@ def _truths(rivals: Rivals, commands: Commands, apart: Separation, thetas: Array
             ((segments),) = predicted_trials(rivals, truth, [commands], simulator)
         except SimulationDiverged:
             return None
-        z = np.linalg.solve(rival.spread, (theta - rival.theta) / rival.parameters.scale)
-        lost = float(z @ own @ np.linalg.solve(np.eye(len(z)) + own, z))
-        return _Truth(number, Target.of(rivals, truth, segments, simulator), lost)
+        return _Truth(number, theta, Target.of(rivals, truth, segments, simulator))
 
     found = [truth for _, truth in computer.side_by_side(threads, shown, enumerate(thetas)) if truth is not None]
     if not found:
@@ -170,19 +169,17 @@ def _truths(rivals: Rivals, commands: Commands, apart: Separation, thetas: Array
 
 
 def _task(rivals: Rivals, apart: Separation, second: int, truth: _Truth) -> Task:
-    """A rival, begun where the first order leads as well."""
+    """A rival, begun where the first order leads as well, the true one at the truth."""
     other = rivals.rivals[second]
+    if second == apart.along:
+        return Task(other, truth.target, [truth.theta])
     led = other.theta + other.parameters.scale * (other.spread @ apart.undone(apart.along, second))
     return Task(other, truth.target, [led])
 
 
-def _power(
-    rivals: Rivals, apart: Separation, second: int, refits: Sequence[tuple[_Truth, Refit]], scale: NoiseScale
-) -> Power:
+def _power(rivals: Rivals, apart: Separation, second: int, gaps: Array) -> Power:
     """Of what one trial says, and several: their gap grows as it does to first order."""
-    first = apart.along
-    seen = np.array([scale.seen(first, second, t.number, t.target.times, refit) for t, refit in refits])
-    gaps = np.maximum(seen - [truth.lost for truth, _ in refits], LEAST)
+    first, gaps = apart.along, np.maximum(gaps, LEAST)
     ahead, needed = rivals.ahead(first, second), margin(rivals, apart.n)
 
     def chance(repeats: int) -> float:

@@ -22,7 +22,7 @@ from equimus_ctrl.diagnosis.rivals import Rival, Rivals
 from equimus_ctrl.engines.trials import Predicted
 from equimus_ctrl.experiments.starts import Starts
 from equimus_ctrl.experiments.together import together
-from equimus_ctrl.identification.noise import Noise, estimate_noise, log_likelihood
+from equimus_ctrl.identification.noise import Noise, estimate_noise, log_likelihood, whiten
 from equimus_ctrl.identification.residuals import DIVERGED, difference
 from equimus_ctrl.identification.segments import Segment
 from equimus_ctrl.identification.simulators import Simulator
@@ -46,12 +46,14 @@ class Refit(Short):
 
     Attributes:
         cost: c at its minimum, −2Δln L in favour of the other, which fits perfectly.
+        earlier: what of it is by the recordings so far, (θ − θ̂)ᵀA(θ − θ̂).
         theta: (p,) there [unit of each].
         converged: whether the search ended by itself.
         left: for each segment (m, nc) what it leaves unexplained there, without noise [rad, m or a channel's own unit].
     """
 
     cost: float
+    earlier: float
     theta: Array
     converged: bool
     left: tuple[Array, ...]
@@ -180,22 +182,22 @@ def refitted_all(tasks: Sequence[Task]) -> list[Refit]:
         return residuals_of([(tasks[place].target, models) for place, models in asked])
 
     found = together([_refit_of(task) for task in tasks], answered)
-    ends = _simulated([(task.target, [task.rival.model_at(own[1])]) for task, own in zip(tasks, found, strict=True)])
+    ends = _simulated([(task.target, [task.rival.model_at(own[2])]) for task, own in zip(tasks, found, strict=True)])
     return [Refit(*own, task.target.left(end)) for task, own, end in zip(tasks, found, ends, strict=True)]
 
 
 Residuals = Callable[[Sequence[Model]], Array]
 
 
-def _refit_of(task: Task) -> Callable[[Residuals], tuple[float, Array, bool]]:
-    """(cost, (p,) values, whether it converged) by a function that is given the target's residuals."""
+def _refit_of(task: Task) -> Callable[[Residuals], tuple[float, float, Array, bool]]:
+    """(cost, that so far, (p,) values, whether it converged) by a function that is given the target's residuals."""
     rival, by = task.rival, task.target.by
     free = rival.parameters
     root = np.linalg.cholesky(rival.precision).T
     low, high = free.low / free.scale, free.high / free.scale
     own = rival.theta / free.scale
 
-    def refit(residuals: Residuals) -> tuple[float, Array, bool]:
+    def refit(residuals: Residuals) -> tuple[float, float, Array, bool]:
         def whole(points: Sequence[Array]) -> Array:
             """(N + p + 1, k) at points (p,) in units of the scale."""
             rows = residuals([rival.model_at(point * free.scale) for point in points])
@@ -215,7 +217,8 @@ def _refit_of(task: Task) -> Callable[[Residuals], tuple[float, Array, bool]]:
             lambda point: whole([point])[:, 0], first, jac=slopes, bounds=(low, high), ftol=TOLERANCE, xtol=TOLERANCE,
             gtol=None, max_nfev=EVALUATIONS,
         )  # fmt: skip
-        return max(2.0 * float(found.cost) - BESIDE, 0.0), np.asarray(found.x * free.scale), bool(found.status > 0)
+        cost, earlier = max(2.0 * float(found.cost) - BESIDE, 0.0), float(((root @ (found.x - own)) ** 2).sum())
+        return cost, min(earlier, cost), np.asarray(found.x * free.scale), bool(found.status > 0)
 
     return refit
 
@@ -226,7 +229,9 @@ class NoiseScale:
     What a rival leaves unexplained is then taken for noise, more and correlated, as far as that is more likely. So
     ln L falls by far less than under the noise that there is, where much is left. Residuals of what has been measured
     so far are drawn for either rival by the noise that they have, and noise for the trial; with it, and with what is
-    left, the noise is estimated anew.
+    left, the noise is estimated anew. Recordings are not kept: what they lose by a refit is taken to look like what is
+    left in the trial, so that noise takes it up alike. Of what is left the mean over both its signs counts: what it has
+    in common with the noise by chance, 2√G ξ, is no part of G.
 
     Args:
         rivals: of which one is true.
@@ -251,27 +256,48 @@ class NoiseScale:
         """
         if refit.cost < NOTHING_LEFT:
             return refit.cost
-        return min(self.estimated(first, second, number, times, refit.left), refit.cost)
+        return min(self.estimated(first, second, number, times, refit.left, refit.earlier), refit.cost)
 
-    def estimated(self, first: int, second: int, number: int, times: Sequence[Array], left: Sequence[Array]) -> float:
-        """The same of what the second leaves, for each segment (m, nc), whatever its cost."""
+    def estimated(
+        self, first: int, second: int, number: int, times: Sequence[Array], left: Sequence[Array], earlier: float = 0.0
+    ) -> float:
+        """The same of what the second leaves, for each segment (m, nc), and loses so far, whatever its cost."""
         rng, nc = np.random.default_rng(number), len(self.rivals.noise)
         normal = rng.standard_normal((2, len(self._earlier), nc))
         new = [drawn_noise(self.rivals.noise, time, rng.standard_normal((2, len(time), nc))) for time in times]
-        with_left = [own + beside for own, beside in zip(new, left, strict=True)]
         if (first, number) not in self._true:
-            self._true[first, number] = self._more(self.rivals.rivals[first], number, normal, times, new)
-        of_true = self._true[first, number]
-        return self._more(self.rivals.rivals[second], number, normal, times, with_left) - of_true
+            self._true[first, number] = self._more(self.rivals.rivals[first], number, normal, times, new, 0.0)
+        other, before = self.rivals.rivals[second], self._like(left, earlier)
+        either = [
+            self._more(
+                other, number, normal, times, [n + sign * e for n, e in zip(new, left, strict=True)], sign * before
+            )
+            for sign in (1.0, -1.0)
+        ]
+        return float(np.mean(either)) - self._true[first, number]
 
-    def _more(self, rival: Rival, number: int, normal: Array, times: Sequence[Array], trial: Sequence[Array]) -> float:
-        """By how much −2 ln L grows with the trial."""
+    def _like(self, left: Sequence[Array], earlier: float) -> Array:
+        """(m, nc) what is left in a trial, repeated over the recordings so far, as large as costs so much there."""
+        whole = np.resize(np.concatenate(left), (len(self._earlier), len(self.rivals.noise)))
+        cost = float((whiten(self.rivals.noise, self._earlier, whole[..., None]) ** 2).sum())
+        return np.asarray(whole * np.sqrt(earlier / cost) if cost else whole)
+
+    def _more(
+        self,
+        rival: Rival,
+        number: int,
+        normal: Array,
+        times: Sequence[Array],
+        trial: Sequence[Array],
+        earlier: Array | float,
+    ) -> float:
+        """By how much −2 ln L grows with the trial, and what is left more of the recordings so far."""
         key = rival.noise, number
         if key not in self._before:
             before = drawn_noise(rival.noise, self._earlier, normal)
             self._before[key] = before, _deviance([self._earlier], [before])
         before, so_far = self._before[key]
-        return _deviance([self._earlier, *times], [before, *trial]) - so_far
+        return _deviance([self._earlier, *times], [before + earlier, *trial]) - so_far
 
 
 def _deviance(times: Sequence[Array], residuals: Sequence[Array]) -> float:
