@@ -33,7 +33,7 @@ hypothesis.settings.register_profile(
 hypothesis.settings.load_profile("repeatable")
 
 
-LONG = (
+BEGUN_EARLY = (
     "test_readme", "test_mjcf_diagnosis", "test_fuzz", "test_coupled_joints", "test_experiment_runs",
     "test_diagnosis_budget", "test_plant_tuning", "test_prescribed_diagnosis", "test_autotune_cluster",
     "test_prove_shards", "test_benchmarks", "test_diagnosis", "test_mjcf_muscles", "test_diagnosis_units",
@@ -52,8 +52,8 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
         if item.get_closest_marker("real_time") is not None:
             item.add_marker(pytest.mark.flaky(reruns=2, reruns_delay=3))
             clocked.add(item.path)
-    place = {stem: k for k, stem in enumerate(LONG)}
-    items.sort(key=lambda item: (item.path not in clocked, place.get(item.path.stem, len(LONG))))
+    place = {stem: k for k, stem in enumerate(BEGUN_EARLY)}
+    items.sort(key=lambda item: (item.path not in clocked, place.get(item.path.stem, len(BEGUN_EARLY))))
 
 
 @pytest.hookimpl(wrapper=True)

@@ -21,8 +21,8 @@ def test_without_a_terminal_a_line_now_and_then(monkeypatch: pytest.MonkeyPatch)
         clock[0] = 121.5
         show("report")
     assert text.getvalue().splitlines() == [
-        "search, 25% after 11 s; best so far: coulomb_friction:elbow",
-        "report, 30% after 22 s; best so far: coulomb_friction:elbow",
+        "search, 25 % after 11 s; best so far: coulomb_friction:elbow",
+        "report, 30 % after 22 s; best so far: coulomb_friction:elbow",
     ]
 
 

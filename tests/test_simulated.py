@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache
 
 import mujoco
@@ -18,7 +19,9 @@ from equimus_ctrl.diagnosis.results import Diagnosis
 from equimus_ctrl.diagnosis.search import Search
 from equimus_ctrl.diagnosis.search_state import SearchState
 from equimus_ctrl.diagnosis.simulated import _shown as shown_of
+from equimus_ctrl.effects import CoulombFriction
 from equimus_ctrl.engines.choice import simulation_of
+from equimus_ctrl.engines.trials import Trial
 from equimus_ctrl.errors import SimulationDiverged
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.robots.mjcf.robot import MjcfRobot
@@ -143,3 +146,21 @@ def test_friction_creeps_in_mujoco_however_short_the_step() -> None:
 def test_recordings_without_friction_and_with_hardly_a_step_s_error_are_no_simulation_s() -> None:
     found = diagnosed(1e-3, divided=32)
     assert found.verdict == "consistent" and not looks_simulated(found)
+
+
+@pytest.mark.slow
+def test_friction_that_holds_is_dry_friction_and_its_step_no_physics() -> None:
+    """As plants of this package simulate it, at the XML's own step."""
+    real, engine = replace(ARM, effects=(CoulombFriction("hinge", friction=0.1),)), simulation_of(ARM)
+    assert engine is not None
+    rng, runs = np.random.default_rng(5), recorded()
+    trials = [Trial(run.name, run.time, run.command, run.command[0], 0.0, run.position[0], run.time) for run in runs]
+    made = replace(engine, hard_friction=True).simulate([real], trials, [np.array([[t.position[0], 0.0]]) for t in trials])
+    runs = [
+        replace(run, position=own.position[0] + rng.normal(0, 5e-4, own.position[0].shape))
+        for run, own in zip(runs, made, strict=True)
+    ]
+    found = workflow.diagnose(runs, ARM, threads=2)
+    assert [str(f.named) for f in found.findings] == ["coulomb_friction at hinge"] and looks_simulated(found)
+    (finding,) = found.findings
+    assert finding.parameters["friction"].value == pytest.approx(0.1, rel=0.01) and not finding.equivalent

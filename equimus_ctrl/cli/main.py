@@ -125,7 +125,8 @@ def _usage(error: Any) -> int:
     else:
         context = getattr(error, "ctx", None)
         where = "equimus-ctrl" if context is None else context.command_path
-        _say(f"{str(error.format_message()).strip().rstrip('.')}; see {where} --help")
+        said = str(error.format_message()).strip().rstrip(".").replace("Value error, ", "")  # what Typer calls it
+        _say(f"{said}; see {where} --help")
     return int(error.exit_code)
 
 

@@ -97,7 +97,7 @@ class _Shown:
             self._last_shown = now
             own = progress.tasks[task]
             so_far = f"; best so far: {own.fields['best']}" if own.fields["best"] else ""
-            line = f"{own.description}, {own.completed:.0%} after {now - self._begun:.0f} s{so_far}"
+            line = f"{own.description}, {100 * own.completed:.0f} % after {now - self._begun:.0f} s{so_far}"
             console.print(line, markup=False, soft_wrap=True)
 
     @contextmanager

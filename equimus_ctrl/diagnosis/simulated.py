@@ -9,9 +9,10 @@ residuals, both whitened, and P the projection beyond all free parameters and in
 
 λ is 1 where MuJoCo made the recordings, and 0 where a robot did; G is what χ² falls by, with nothing fitted. Tried are
 the XML's own step; of recordings without noise, whose residuals are all of this shape, the step that λ says, for an
-error of first order is in proportion to it; and so short a step that friction alone creeps. Where χ² falls by more than
-an effect has to make it fall, d is taken off the recordings, and the search goes on with the exact engine: to first
-order that is a search with MuJoCo's. It has to be that once still, at the hypothesis that fits best then.
+error of first order is in proportion to it; the XML's step with dry friction that holds what it stops, as simulated
+plants of this package do; and so short a step that friction alone creeps. Where χ² falls by more than an effect has to
+make it fall, d is taken off the recordings, and the search goes on with the exact engine: to first order that is a
+search with MuJoCo's. It has to be that once still, at the hypothesis that fits best then.
 """
 
 from __future__ import annotations
@@ -174,10 +175,13 @@ def _makers(data: Data, fitted: Fitted, engine: MujocoEngine) -> Iterator[tuple[
     """Engines that may have made the recordings, and what these show of each."""
     own = _shown(data, fitted, engine)
     yield engine, own
-    steps = []
+    rubs, steps = any(effect.rubs for effect in fitted.fit.model.effects), []
+    if rubs:
+        held = replace(engine, hard_friction=True)
+        yield held, _shown(data, fitted, held)
     if own is not None and _all_of_it(own) and own.share > SHORTEST:
         steps.append(own.share)
-    if any(effect.rubs for effect in fitted.fit.model.effects):
+    if rubs:
         steps.append(SHORTEST)
     for share in steps:
         other = replace(engine, dt=share * engine.discretisation.step)

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from concurrent.futures import FIRST_COMPLETED, CancelledError, Future, InvalidStateError, wait
-from contextlib import suppress
+from concurrent.futures import FIRST_COMPLETED, CancelledError, Future, wait
 from itertools import islice
 from typing import Any, Protocol, TypeVar
 
 from equimus_ctrl.errors import EquimusError, one_line
 from equimus_ctrl.executors.calls import Call, Ended, Gone, Unfit, opened
-from equimus_ctrl.executors.second_chance import SecondChances
+from equimus_ctrl.executors.second_chance import SecondChances, pass_on
 from equimus_ctrl.executors.versions import versions
 
 T = TypeVar("T")
@@ -126,17 +125,6 @@ class Executor(ABC):
 def _opened(given: Future[bytes]) -> Future[Any]:
     """What a piece comes to in place of its bytes."""
     told: Future[Any] = Future()
-
-    def tell(done: Future[bytes]) -> None:
-        with suppress(InvalidStateError):  # cancelled meanwhile
-            try:
-                told.set_result(opened(done.result()))
-            except CancelledError:
-                told.cancel()
-                told.set_running_or_notify_cancel()
-            except BaseException as error:
-                told.set_exception(error)
-
     told.add_done_callback(lambda future: given.cancel() if future.cancelled() else None)
-    given.add_done_callback(tell)
+    given.add_done_callback(lambda done: pass_on(done, told, opened))
     return told

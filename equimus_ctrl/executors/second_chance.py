@@ -5,7 +5,7 @@ from __future__ import annotations
 import threading
 from collections import deque
 from collections.abc import Callable
-from concurrent.futures import Future, InvalidStateError
+from concurrent.futures import CancelledError, Future, InvalidStateError
 from contextlib import suppress
 from typing import Any
 
@@ -60,7 +60,7 @@ class SecondChances:
             if again:
                 self._waiting.append((begin, told))
         if not again:
-            _pass_on(done, told)
+            pass_on(done, told)
         self._go_on()
 
     def _go_on(self) -> None:
@@ -82,12 +82,19 @@ class SecondChances:
                     told.set_exception(error)
 
 
-def _pass_on(done: Future[Any], told: Future[Any]) -> None:
-    with suppress(InvalidStateError):  # cancelled meanwhile
-        if done.cancelled():
+def pass_on(done: Future[Any], told: Future[Any], made: Callable[[Any], Any] = lambda found: found) -> None:
+    """Let a future end as another did.
+
+    Args:
+        done: the other.
+        told: what ends; nothing happens where it was cancelled meanwhile.
+        made: of what the other came to; what it raises is what ``told`` raises.
+    """
+    with suppress(InvalidStateError):
+        try:
+            told.set_result(made(done.result()))
+        except CancelledError:
             told.cancel()
             told.set_running_or_notify_cancel()
-        elif (error := done.exception()) is not None:
+        except BaseException as error:
             told.set_exception(error)
-        else:
-            told.set_result(done.result())

@@ -167,12 +167,10 @@ class Ground:
         for joint, value in condition.pose.items():
             begin[robot.joint_names.index(joint)] = value
         refused: ConfigError | None = None
-        # Let go by the noise beside it, so that a pose in which it is balanced but does not stay is none to rest in.
-        beside = begin + np.array([own.sigma for own in rivals.noise[: len(begin)]])
         for command in _at_rest(rivals, here, begin, condition):
             try:
                 own = np.clip(command, low, high)
-                pose = resting(rivals, here, own, simulator, beside)
+                pose = resting(rivals, here, own, simulator, begin, beside=True)
             except ConfigError as error:
                 refused = refused or error
                 continue

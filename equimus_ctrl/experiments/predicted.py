@@ -31,6 +31,11 @@ SETTLING = 20.0
 """How long a robot that need not start at rest may take to come to rest under its first command [s]."""
 STILL = 0.5
 """Over so long it may move no more than noise then [s]."""
+INSTANTS = 10
+"""At which it is looked at in that time."""
+NEAR = 10.0
+"""So many times as far as it was let go beside a pose may a robot go from there that rests in it: what is not stable
+goes farther, unless it does so too slowly to count in a trial."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -215,7 +220,9 @@ def _recorded(bare: Recording, trial: Trial, found: Predicted, truth: Model, cha
     )
 
 
-def resting(rivals: Rivals, truth: Model, command: Array, simulator: Simulator, begin: Array | None = None) -> Array:
+def resting(
+    rivals: Rivals, truth: Model, command: Array, simulator: Simulator, begin: Array | None = None, beside: bool = False
+) -> Array:
     """(nj,) where a robot rests under a constant command (na,) [rad or m].
 
     Robots that start at rest have been under it for long; others are let go where recordings began, and left until they
@@ -227,6 +234,9 @@ def resting(rivals: Rivals, truth: Model, command: Array, simulator: Simulator, 
         command: in force for long.
         simulator: that simulates.
         begin: (nj,) where robots that need not start at rest are let go [rad or m].
+        beside: lets them go as far from there as noise, so that a pose in which one is balanced but does not stay is
+            none to rest in. One that swings about ``begin`` with little to damp it rests there: it never goes farther
+            away than ``NEAR`` times the noise.
 
     Raises:
         ConfigError: where it does not come to rest.
@@ -234,18 +244,22 @@ def resting(rivals: Rivals, truth: Model, command: Array, simulator: Simulator, 
     if truth.robot.traits.starts_at_rest:
         return rest_pose(truth, command)
     nj = len(truth.robot.joint_names)
-    ends = np.linspace(SETTLING - STILL, SETTLING, 11)
-    at = rivals.start if begin is None else begin
-    trial = Trial("rest", np.zeros(1), command[None], command, 0.0, at, ends, inner=True)
+    sigma = np.array([own.sigma for own in rivals.noise[:nj]])
+    place = rivals.start if begin is None else begin
+    at = place + sigma if beside else place
+    instants = np.linspace(0.0, SETTLING, round(SETTLING / STILL) * INSTANTS + 1)
+    trial = Trial("rest", np.zeros(1), command[None], command, 0.0, at, instants, inner=True)
     (found,) = simulator.engine.simulate(
         [truth], [trial], [np.concatenate([at, np.zeros(nj)])[None]], simulator.threads
     )
-    moved = np.ptp(found.position[0], axis=0)
-    sigma = np.array([own.sigma for own in rivals.noise[:nj]])
-    if not (found.sound[0] and np.all(moved < sigma)):
-        raise ConfigError(
-            f"{truth.name} does not come to rest within {SETTLING:g} s of a constant command, so it cannot be driven "
-            "in open loop; expected commands that hold it, or a pose to start from"
-        )
     assert found.motion is not None  # the trial asks for it
-    return np.asarray(found.motion[0, -1, :nj])
+    motion = found.motion[0, :, :nj]
+    if found.sound[0]:
+        if np.all(np.ptp(found.position[0, -INSTANTS - 1 :], axis=0) < sigma):
+            return np.asarray(motion[-1])
+        if beside and np.all(np.abs(motion - place) <= NEAR * sigma):
+            return place
+    raise ConfigError(
+        f"{truth.name} does not come to rest within {SETTLING:g} s of a constant command, so it cannot be driven "
+        "in open loop; expected commands that hold it, or a pose to start from"
+    )

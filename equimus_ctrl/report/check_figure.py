@@ -13,6 +13,7 @@ from matplotlib.lines import Line2D
 from equimus_ctrl.preflight.information import EffectInformation, Information
 from equimus_ctrl.preflight.result import CheckResult
 from equimus_ctrl.report import style
+from equimus_ctrl.shown import counted
 
 ROW = 0.24
 """Height of a row [inch]."""
@@ -37,7 +38,7 @@ def check_figure(check: CheckResult) -> Figure:
     parameters = min(len(known.parameters), MOST_PARAMETERS)
     left = [joints + LABELS, parameters + LABELS]
     rows = max(len(effects) + 1.0, sum(left))
-    figure = style.new_figure(12.0, 1.6 + ROW * rows, f"What {len(check.signals)} recordings could show")
+    figure = style.new_figure(12.0, 1.6 + ROW * rows, f"What {counted(len(check.signals), 'recording')} could show")
     # What is left of the column stays empty: rows are as high on both sides.
     grid = figure.add_gridspec(3, 2, height_ratios=[*left, max(rows - sum(left), 1e-3)], width_ratios=[1, 1.1])
     handles = _signals(figure.add_subplot(grid[0, 0]), check)
