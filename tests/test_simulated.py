@@ -155,7 +155,9 @@ def test_friction_that_holds_is_dry_friction_and_its_step_no_physics() -> None:
     assert engine is not None
     rng, runs = np.random.default_rng(5), recorded()
     trials = [Trial(run.name, run.time, run.command, run.command[0], 0.0, run.position[0], run.time) for run in runs]
-    made = replace(engine, hard_friction=True).simulate([real], trials, [np.array([[t.position[0], 0.0]]) for t in trials])
+    made = replace(engine, hard_friction=True).simulate(
+        [real], trials, [np.array([[t.position[0], 0.0]]) for t in trials]
+    )
     runs = [
         replace(run, position=own.position[0] + rng.normal(0, 5e-4, own.position[0].shape))
         for run, own in zip(runs, made, strict=True)
