@@ -38,6 +38,8 @@ NOTHING_LEFT = 0.5
 """A cost below leaves nothing that could be taken for noise."""
 BESIDE = 10.0
 """A gap counts beside what a diagnosis asks for, 10 or more: a cost far below need not be known to a part of itself."""
+EXACT = TOLERANCE * BESIDE
+"""To this a gap is known that is nothing."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
