@@ -12,12 +12,11 @@ from rival_legs import of_a_pendulum, rivals_of, with_other
 
 from equimus_ctrl.diagnosis.holdout import Holdout
 from equimus_ctrl.diagnosis.results import Diagnosis
-from equimus_ctrl.diagnosis.rivals import NOTHING, rival_of
+from equimus_ctrl.diagnosis.rivals import NOTHING, refitted_to, rival_of
 from equimus_ctrl.experiments.loop import (
     Belief,
     Predicted,
     Realised,
-    again,
     belief_of,
     held_out,
     label_of,
@@ -27,7 +26,7 @@ from equimus_ctrl.experiments.loop import (
     why_not,
     worth_making,
 )
-from equimus_ctrl.experiments.power import Power
+from equimus_ctrl.experiments.power import Power, margin
 from equimus_ctrl.experiments.results import Pair
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.presets import plain
@@ -66,9 +65,9 @@ def test_an_effect_of_known_size_is_another_one_at_another_size() -> None:
 
 def test_what_is_fitted_again_to_the_same_trials_stays_where_it_was(diagnosis: Diagnosis) -> None:
     before = rival_of(diagnosis.base, diagnosis.best.noise)
-    once = again(before, diagnosis)
+    once = refitted_to(before, diagnosis)
     assert once.deviance < before.deviance  # that one was made in few steps
-    twice = again(once, diagnosis)
+    twice = refitted_to(once, diagnosis)
     assert twice.deviance == pytest.approx(once.deviance, abs=1.0)
     assert twice.theta == pytest.approx(once.theta, rel=0.02)
 
@@ -94,6 +93,18 @@ def test_a_gap_is_realised_by_what_the_trial_added() -> None:
     assert Realised.from_dict(json.loads(json.dumps(found.to_dict()))) == found
     (still,) = realised(before, pairs, replace(before, rivals=grown[::-1]))
     assert still.predicted == pairs[1] and still.gap == pytest.approx(-35.0) and not still.settled
+
+
+def test_what_is_no_longer_asked_for_is_settled_only_where_it_is_excluded() -> None:
+    before = of_a_pendulum()
+    first, second = before.rivals
+    pairs = (Predicted(first.label, second.label, 40.0, 20.0, 60.0, 0.9, 1.0),)
+    behind = before.ahead(0, 1)
+    needed = margin(before)
+    for more, settled in ((needed - 1.0, False), (needed + 1.0, True)):
+        other = replace(second, deviance=second.deviance - behind + more)
+        (found,) = realised(before, pairs, replace(before, rivals=(first,)), (other,))
+        assert found.settled is settled and found.gap == pytest.approx(more - behind)
 
 
 @pytest.mark.parametrize(

@@ -13,9 +13,9 @@ from equimus_ctrl.diagnosis.results import Diagnosis
 from equimus_ctrl.diagnosis.rivals import Rivals
 from equimus_ctrl.experiments.power import Power, powers
 from equimus_ctrl.experiments.predicted import Commands, predicted_trials
-from equimus_ctrl.experiments.refitting import Target, as_estimated, drawn_noise, refitted
+from equimus_ctrl.experiments.refitting import NoiseScale, Target, Task, drawn_noise, refitted, refitted_all
 from equimus_ctrl.experiments.separation import separations
-from equimus_ctrl.identification.noise import JointNoise, estimate_noise
+from equimus_ctrl.identification.noise import JointNoise, estimate_noise, whiten
 
 SWING = Commands(np.array([0.0, 0.5, 1.2]), np.array([[0.3], [-0.8], [0.9]]), 2.0)
 
@@ -65,6 +65,16 @@ def test_the_refit_is_a_minimum(diagnosis: Diagnosis) -> None:
                 assert cost(moved) > 0.999 * found.cost
 
 
+def test_refits_beside_each_other_are_those_alone(diagnosis: Diagnosis) -> None:
+    """The same bits, whatever the truth of each is."""
+    rivals = rivals_of(diagnosis)
+    shown = [target(rivals, steps(duration=1.5), truth) for truth in (0, 1)]
+    tasks = [Task(rivals.rivals[j], shown[i]) for i, j in ((0, 1), (1, 0), (0, 0))]
+    for own, task in zip(refitted_all(tasks), tasks, strict=True):
+        alone = refitted(task.rival, task.target)
+        assert own.cost == alone.cost and own.theta.tobytes() == alone.theta.tobytes()
+
+
 def test_drawn_noise_is_the_noise_that_it_is_said_to_be() -> None:
     noise = (JointNoise(1e-3), JointNoise(5e-4, 2e-3, 0.05))
     time = np.arange(6000) / 100
@@ -82,15 +92,34 @@ def test_where_noise_is_estimated_along_a_large_gap_is_smaller() -> None:
     time = np.arange(200) / rivals.rate
     wave = np.sin(7 * time)[:, None]
     sigma = rivals.noise[0].sigma
-    rng = np.random.default_rng
 
     def seen(size: float) -> float:
-        return as_estimated(rivals, 0, 1, [time], [size * sigma * wave], rng(1))
+        return NoiseScale(rivals).estimated(0, 1, 1, [time], [size * sigma * wave])
 
     assert seen(0.0) == 0.0
     # Of a small one, χ² of what is left, give or take what noise does.
     assert seen(0.5) == pytest.approx(0.25 * (wave**2).sum(), abs=2 * 2 * np.sqrt(0.25 * (wave**2).sum()))
     assert seen(5.0) < seen(20.0) < 0.1 * 400 * (wave**2).sum()
+
+
+def test_what_the_recordings_so_far_lose_counts_as_well() -> None:
+    """Under noise that is estimated along, as much as if it were left in so long a trial."""
+    rivals = of_a_pendulum()
+    same = tuple(replace(rival, noise=rivals.noise) for rival in rivals.rivals)
+    rivals = replace(rivals, rivals=same, n=200)
+    time = np.arange(200) / rivals.rate
+    wave = 0.7 * rivals.noise[0].sigma * np.sin(7 * time)[:, None]
+    cost = float((whiten(rivals.noise, time, wave[..., None]) ** 2).sum())
+
+    def seen(earlier: float) -> float:
+        return NoiseScale(rivals).estimated(0, 1, 1, [time], [wave], earlier)
+
+    assert seen(0.0) < seen(0.5 * cost) < seen(cost) < 2 * cost
+    assert seen(cost) == pytest.approx(2 * seen(0.0), rel=0.3)
+    found = refitted(rivals.rivals[1], target(rivals, SWING))
+    own = rivals.rivals[1]
+    away = (found.theta - own.theta) / own.parameters.scale
+    assert found.earlier == pytest.approx(away @ own.precision @ away) and 0 < found.earlier < found.cost
 
 
 def test_power_grows_with_what_is_ahead_and_with_the_gap() -> None:

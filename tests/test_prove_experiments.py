@@ -90,7 +90,7 @@ def test_a_diagnosis_that_failed_is_no_answer() -> None:
 @pytest.mark.parametrize(
     ("predicted", "realised", "strictly", "noisily"),
     [(100.0, 51.0, True, True), (100.0, 201.0, False, True), (100.0, 221.0, False, False), (100.0, 29.0, False, False),
-     (4.0, -1.9, False, True), (4.0, -2.1, False, False), (0.0, 0.1, False, False)],
+     (4.0, -1.9, False, True), (4.0, -2.1, False, False), (0.0, 0.1, False, False), (1e-12, -1e-3, True, True)],
 )  # fmt: skip
 def test_gaps_are_near_within_a_factor_of_two_and_noise(
     predicted: float, realised: float, strictly: bool, noisily: bool

@@ -17,7 +17,7 @@ from equimus_ctrl.diagnosis.explanations import just_below
 from equimus_ctrl.diagnosis.holdout import split
 from equimus_ctrl.diagnosis.hypothesis import default_free_parameters
 from equimus_ctrl.diagnosis.results import Diagnosis, Named
-from equimus_ctrl.diagnosis.rivals import Rivals
+from equimus_ctrl.diagnosis.rivals import Rivals, refitted_to
 from equimus_ctrl.diagnosis.screening import Screened
 from equimus_ctrl.errors import ConfigError
 from equimus_ctrl.experiments.predicted import Commands
@@ -47,13 +47,30 @@ def test_explanations_of_the_same_effects_are_one(diagnosis: Diagnosis) -> None:
     assert [rival.accepted for rival in nearest.rivals] == [True, False]
 
 
-def test_what_would_just_not_have_been_seen_stands_beside_nothing(diagnosis: Diagnosis) -> None:
-    part = part_of("coulomb_friction", ("knee",), {"friction": 1e-3})
-    below = replace(consistent(diagnosis), best=diagnosis.base, below=(part,))
+def test_what_is_not_excluded_stands_beside_nothing(diagnosis: Diagnosis) -> None:
+    small = part_of("coulomb_friction", ("knee",), {"friction": 1e-3})
+    large = part_of("coulomb_friction", ("knee",), {"friction": 0.5})
+    below = replace(consistent(diagnosis), best=diagnosis.base, below=(small, large))
     nothing, rubbing = Rivals.of(below).rivals
     assert (nothing.label, rubbing.label) == ("no missing physics", "coulomb_friction at knee")
-    assert [effect.name for effect in rubbing.model.effects] == ["coulomb_friction"]
-    assert np.array_equal(rubbing.information, nothing.information)
+    assert [effect.parameters()["friction"] for effect in rubbing.model.effects] == [1e-3]
+
+
+def test_beside_an_effect_of_known_size_all_else_is_refitted(diagnosis: Diagnosis) -> None:
+    """What it makes of the recordings counts, not what it would make of them with the estimates without it."""
+    small = part_of("coulomb_friction", ("knee",), {"friction": 1e-3})
+    nothing, rubbing = Rivals.of(replace(consistent(diagnosis), best=diagnosis.base, below=(small,))).rivals
+    assert rubbing.parameters.names == nothing.parameters.names
+    assert not np.array_equal(rubbing.theta, nothing.theta) and rubbing.deviance != nothing.deviance
+    again = refitted_to(rubbing, replace(diagnosis, best=diagnosis.base))
+    assert again.deviance == pytest.approx(rubbing.deviance, abs=1.0)
+
+
+def test_rivals_are_found_once(diagnosis: Diagnosis) -> None:
+    """Those of known size are fits: whoever asks again has the same."""
+    again = replace(diagnosis)
+    assert again.rivals is again.rivals
+    assert replace(again, nearest=(diagnosis.base,), explanations=()).rivals.rivals[1].accepted is False
 
 
 def test_the_information_is_that_of_all_unknowns_together(diagnosis: Diagnosis) -> None:

@@ -7,7 +7,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from diagnosed_arm import six_joints
-from diagnosed_leg import part_of
 from rival_legs import rivals_of, steps
 from scipy.stats import multivariate_normal
 
@@ -16,7 +15,8 @@ from equimus_ctrl.diagnosis.rivals import Rivals
 from equimus_ctrl.engines.rest import rest_pose
 from equimus_ctrl.errors import ConfigError
 from equimus_ctrl.experiments.predicted import Commands, predicted_recordings, predicted_trials, resting
-from equimus_ctrl.experiments.separation import Separation, Starts, divergence, leading, separations
+from equimus_ctrl.experiments.separation import Separation, divergence, leading, separations
+from equimus_ctrl.experiments.starts import Starts
 from equimus_ctrl.identification.information import start_precision
 from equimus_ctrl.identification.noise import whiten
 from equimus_ctrl.models.model import Model
@@ -120,21 +120,6 @@ def test_a_rival_is_at_no_distance_from_itself(diagnosis: Diagnosis) -> None:
     same = replace(rivals, rivals=(rivals.rivals[0], rivals.rivals[0], rivals.rivals[1]))
     (apart,) = separations(same, [steps()])
     assert apart.gap(0, 1) == 0 < apart.gap(0, 2)
-
-
-def test_rivals_that_are_as_free_as_each_other_share_derivatives(diagnosis: Diagnosis) -> None:
-    """Of an effect that is hardly seen; so nothing is lost by it."""
-    rivals = rivals_of(diagnosis)
-    nothing = rivals.rivals[1]
-    rub = part_of("coulomb_friction", ("knee",), {"friction": 1e-4}).effects
-    model = replace(nothing.parameters.model, effects=rub)
-    rubbing = replace(nothing, parameters=replace(nothing.parameters, model=model))
-    (shared,) = separations(replace(rivals, rivals=(nothing, rubbing)), [steps()])
-    assert shared.places[0] == shared.places[1]
-    apart = replace(rubbing, information=rubbing.information * (1 + 1e-9))
-    (own,) = separations(replace(rivals, rivals=(nothing, apart)), [steps()])
-    assert own.places[0] != own.places[1]
-    assert shared.gap(0, 1) == pytest.approx(own.gap(0, 1), rel=0.05) and own.gap(0, 1) > 0.1
 
 
 def test_whole_bases_change_nothing_and_leading_ones_little(diagnosis: Diagnosis) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
+from functools import cached_property
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
@@ -267,7 +268,8 @@ class Diagnosis(Short):
         splits: what other splits of the trials say; None where nobody asked.
         explanations: that these recordings leave beside ``best``, see ``explanations.left_by``.
         nearest: what comes nearest to what has no name, see ``explanations.nearest_to``.
-        below: effects that would just not have been seen, see ``explanations.just_below``; where nothing was found.
+        below: effects at the size that would just have been seen, see ``explanations.just_below``; where nothing was
+            found.
     """
 
     verdict: Verdict
@@ -399,9 +401,9 @@ class Diagnosis(Short):
             return None
         return float(np.median([s.trial.sample_times[-1] - s.trial.start for s in self.train]))
 
-    @property
+    @cached_property
     def rivals(self) -> Rivals:
-        """The explanations that these recordings leave, for experiments to decide between."""
+        """The explanations that these recordings leave, for experiments to decide between; some are fitted for it."""
         return Rivals.of(self)
 
     def to_dict(self) -> dict[str, Any]:

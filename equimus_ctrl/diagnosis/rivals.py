@@ -20,14 +20,17 @@ from scipy.linalg import solve_triangular
 from scipy.optimize import lsq_linear
 
 from equimus_ctrl.diagnosis.estimates import Named
-from equimus_ctrl.diagnosis.fitting import Fitted
+from equimus_ctrl.diagnosis.fitting import Data, Fitted
 from equimus_ctrl.diagnosis.hypothesis import Candidate, Part, model_of
+from equimus_ctrl.diagnosis.policy import SearchPolicy
 from equimus_ctrl.diagnosis.residuals import Unexplained
+from equimus_ctrl.diagnosis.scoring import equally_good
+from equimus_ctrl.diagnosis.thresholds import Thresholds
 from equimus_ctrl.effects import base as effects_base
 from equimus_ctrl.engines.base import EngineName
 from equimus_ctrl.engines.choice import engine_for
 from equimus_ctrl.engines.predict import FREE, ZERO
-from equimus_ctrl.errors import ConfigError
+from equimus_ctrl.errors import ConfigError, SimulationDiverged
 from equimus_ctrl.identification.channels import ALSO, Channels
 from equimus_ctrl.identification.information import information, root_of_inverse
 from equimus_ctrl.identification.noise import JointNoise, Noise
@@ -41,6 +44,8 @@ from equimus_ctrl.types import Array
 UNIFORM = 12.0
 """Of a uniform distribution, the square of its range over its variance."""
 NOTHING = "no missing physics"
+STEPS = 20
+"""Of a fit of a rival to other trials, or of another size, from where it was."""
 TIGHT = 1e-12
 """Room for what is at a bound, in units of its scale."""
 
@@ -123,14 +128,6 @@ class Rival(Short):
                 change = lsq_linear(root, own, (low, high), method="bvls").x
             found.append(np.clip(self.theta + free.scale * change, free.low, free.high))
         return np.array(found)
-
-    def as_free_as(self, other: Rival) -> bool:
-        """Whether the same is free in both, and as known: they differ in what is not free alone."""
-        return self is other or (
-            self.parameters.free == other.parameters.free
-            and np.array_equal(self.theta, other.theta)
-            and np.array_equal(self.information, other.information)
-        )
 
     @property
     def n_effect_parameters(self) -> int:
@@ -299,8 +296,9 @@ class Rivals(Short):
         """The rivals that a diagnosis leaves.
 
         They are the end of its search, what fits as well, and the end without effects whose parameters are not
-        identified. Where something has no name, also what comes nearest to it; where nothing is missing, every effect
-        that would just not have been seen, at that size, beside what else is free.
+        identified. Where something has no name, also what comes nearest to it; where nothing is missing, effects at the
+        size that would just have been seen, all else that is free refitted beside them, as far as these recordings do
+        not exclude that size.
         """
         best, problem = diagnosis.best, diagnosis.best.fit.problem
         fits = {fitted.labels: (fitted, True) for fitted in reversed((best, *diagnosis.explanations))}
@@ -310,7 +308,7 @@ class Rivals(Short):
             fits.setdefault(fitted.labels, (fitted, False))
         noise, segments = best.noise, diagnosis.train
         found = [rival_of(fitted, noise, accepted) for fitted, accepted in fits.values()]
-        found += [_with_known(found[0], part) for part in diagnosis.below]
+        found += _not_excluded(found[0], diagnosis)
         steps = np.concatenate([np.diff(s.trial.sample_times) for s in segments])
         robot, whole = diagnosis.model.robot, segments[0]
         at_rest = robot.traits.starts_at_rest
@@ -429,8 +427,44 @@ def named_effects(candidates: Sequence[Candidate]) -> tuple[Named, ...]:
     return tuple(Named(c.effect.name, c.locations, c.each) for c in candidates)
 
 
+def refitted_to(rival: Rival, diagnosis: Diagnosed) -> Rival:
+    """A rival fitted to what a diagnosis fitted, from where it is; its noise estimated along.
+
+    Raises:
+        SimulationDiverged: where it cannot follow these trials at all.
+    """
+    best, segments = diagnosis.best, diagnosis.train
+    simulator = best.fit.problem.simulator
+    policy = SearchPolicy.of(diagnosis.model.robot.traits, simulator.engine)
+    data = Data(rival.parameters, segments, simulator, policy=policy)
+    begin = (rival.theta, [segment.start for segment in segments])
+    found = data.converge(data.coarse_fit((), [begin], best.noise, STEPS))
+    return replace(
+        rival,
+        theta=found.fit.theta,
+        information=information(found.fit, best.noise),
+        deviance=found.deviance,
+        noise=found.noise,
+    )
+
+
+def _not_excluded(first: Rival, diagnosis: Diagnosed) -> list[Rival]:
+    """Effects of known size that fit as well as none, by the rule by which a diagnosis distinguishes explanations."""
+    engine = diagnosis.best.fit.problem.simulator.engine
+    many_minima = SearchPolicy.of(diagnosis.model.robot.traits, engine).many_minima
+    n, found = sum(s.outputs.size for s in diagnosis.train), list[Rival]()
+    for part in diagnosis.below:
+        try:
+            rival = refitted_to(_with_known(first, part), diagnosis)
+        except SimulationDiverged:  # of that size it is not there
+            continue
+        if rival.score(n) - first.score(n) <= equally_good(Thresholds(), n, many_minima):
+            found.append(rival)
+    return found
+
+
 def _with_known(rival: Rival, part: Part) -> Rival:
-    """A rival with one effect more, of known size: what it makes of everything else is as known as without it."""
+    """A rival with one effect more, of known size, everything else as without it."""
     model = model_of(rival.parameters.model, (part,))
     named = (*rival.effects, *named_effects([part.candidate]))
     return replace(rival, effects=named, parameters=replace(rival.parameters, model=model))

@@ -1,15 +1,16 @@
 """The design of an experiment: commands within limits that tell rivals apart, and what they are expected to show.
 
-First CMA-ES goes over families of commands and known conditions (``search``), by distances to first order. What is best
-is taken through the limits with many draws of all rivals' parameters, and shrunk about rest until none leaves them
+First CMA-ES goes over families of commands and known conditions (``search``), by distances to first order. What is
+best is taken through the limits with many draws of all rivals' parameters, and shrunk about rest until none leaves them
 (``limits``). Of what is left, the design is taken whose trial settles most, the rivals refitted without linearising
-(``power``).
+(``power``). Pairs that all of these settle, or none, need no draws for that.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 
 import numpy as np
@@ -33,12 +34,17 @@ from equimus_ctrl.types import Array
 
 EVALUATIONS, COSTLY_EVALUATIONS = 400, 120
 """Of designs, where simulations take little and long, see ``Ground.takes_long``."""
-LOOKED_AT, COSTLY_LOOKED_AT = 4, 1
-"""Draws of each rival that are looked at in the search, likewise."""
+LOOKED_AT = 16
+"""Models that are looked at in the search, the rivals with their estimates and draws of their parameters; of each
+different one there is one draw, or more."""
 LIMIT_DRAWS = 99
 """Of each rival that the final design is taken through: the true robot leaves the limits with 1 % at most."""
-CANDIDATES = 3
-"""Designs that are compared by refitting."""
+CANDIDATES, COSTLY_CANDIDATES = 8, 4
+"""Designs that are compared by refitting, also where simulations take long."""
+LEADERS = 2
+"""Families whose designs are compared first."""
+DECIDED = 0.01
+"""A pair that is settled with all but this chance, or with no more, in all of them does not decide between them."""
 FEW_DRAWS = 3
 """Of the true rival where candidates are compared."""
 COSTLY_DRAWS = 4
@@ -102,39 +108,33 @@ def designed(
         simulator = simulator or rivals.simulator()
         grounds, refused = _grounds(rivals, limits, conditions, simulator, track)
         costly = grounds[0].takes_long
-        looked_at = COSTLY_LOOKED_AT if costly else LOOKED_AT
         arms = list[Arm]()
         for c, ground in enumerate(grounds):
-            crowd = ground.crowd(_models(rivals, looked_at, np.random.default_rng([seed, 0])))
+            crowd = ground.crowd(_few_models(rivals, 0 if costly else LOOKED_AT, np.random.default_rng([seed, 0])))
             several = over_families or families()
             arms += [
                 Arm(ground, family, 1 + seed * 1000 + c * len(several) + f, crowd) for f, family in enumerate(several)
             ]
         asked = evaluations or (COSTLY_EVALUATIONS if costly else EVALUATIONS)
+        wanted = told_pairs(rivals)
         timed_out = search(arms, asked, over, lambda share: progress("search", share))
         final = _Final.of(rivals, draws, seed)
-        designs = [(arm, point) for arm in sorted(arms, key=lambda arm: -arm.value) for point in arm.candidates]
-        kept = final.kept(designs[: CANDIDATES if simulator.engine.costly else None], progress)
+        kept = final.kept(_candidates(arms), progress, COSTLY_CANDIDATES if costly else CANDIDATES)
         if not kept:
             raise NothingFeasible(_why_nothing(arms))
         chosen = _best(kept, 0 if simulator.engine.costly else FEW_DRAWS, seed, over, progress)
-        wanted = told_pairs(rivals)
         count = COSTLY_DRAWS if costly else int(np.clip(refits // len(wanted), LEAST_DRAWS, DRAWS))
         progress("power", 0.0)
-        rng = np.random.default_rng([seed, 2])
-        found = powers(rivals, chosen.commands, rng, draws=count, pairs=wanted, simulator=simulator)
+        found = _powers(chosen, count, wanted, seed)
         pairs, others = [], dict[tuple[int, int], Commands]()
         for both in _both_ways(found):
             own, other = _ending(rivals, both, final, arms, min(count, LEAST_DRAWS))
             pairs.append(own)
             if other is not None:
                 others[own.places] = other
-        moving = [chosen.commands, *_largest(arms, final)]
-        hopeless = {
-            own.places: [*moving, *([others[own.places]] if own.places in others else [])]
-            for own in pairs
-            if own.ending == "inseparable"
-        }
+        lost = [own.places for own in pairs if own.ending == "inseparable"]
+        moving = [chosen.commands, *(_largest(arms, final) if lost else ())]
+        hopeless = {places: [*moving, *([others[places]] if places in others else [])] for places in lost}
         progress("sensors", 0.0)
         would = remedies(rivals, hopeless, limits, noises=noises, simulator=simulator)
     return Designed(
@@ -192,6 +192,22 @@ def _models(rivals: Rivals, draws: int, rng: np.random.Generator) -> list[Model]
     return found
 
 
+def _few_models(rivals: Rivals, count: int, rng: np.random.Generator) -> list[Model]:
+    """All rivals with their estimates, and about so many in all with draws."""
+    several = len(rivals.rivals)
+    return _models(rivals, max((count - several) // several, 1), rng)
+
+
+def _candidates(arms: Sequence[Arm]) -> list[tuple[Arm, Array]]:
+    """Designs that are worth a closer look: of two families at a time the best, then those that go farthest."""
+    ranked = [(arm, arm.candidates) for arm in sorted(arms, key=lambda arm: -arm.value)]
+    found = list[tuple[Arm, Array]]()
+    for k in range(0, len(ranked), LEADERS):
+        some = ranked[k : k + LEADERS]
+        found += [(arm, points[n]) for n in range(2) for arm, points in some if n < len(points)]
+    return found
+
+
 @dataclass(frozen=True, eq=False)
 class _Kept:
     """A design that keeps the limits."""
@@ -201,6 +217,11 @@ class _Kept:
     commands: Commands
     amplitude: float
     excess: Excess
+
+    def powers(self, rng: np.random.Generator, draws: int, pairs: Sequence[tuple[int, int]]) -> list[Power]:
+        """For pairs of rivals, by their places."""
+        ground = self.ground
+        return powers(ground.rivals, self.commands, rng, draws=draws, pairs=pairs, simulator=ground.simulator)
 
 
 @dataclass(frozen=True, eq=False)
@@ -214,10 +235,14 @@ class _Final:
     def of(cls, rivals: Rivals, draws: int, seed: int) -> _Final:
         return cls(_models(rivals, draws, np.random.default_rng([seed, 1])), {})
 
-    def kept(self, designs: Sequence[tuple[Arm, Array]], progress: Progress) -> list[_Kept]:
-        """Designs, shrunk until none of the draws leaves the limits; without those that then do not move."""
+    def kept(
+        self, designs: Sequence[tuple[Arm, Array]], progress: Progress = lambda stage, share: None, most: int = 1
+    ) -> list[_Kept]:
+        """The first designs, shrunk until none of the draws leaves the limits; without those that then do not move."""
         found = list[_Kept]()
-        for k, (arm, point) in enumerate(designs):
+        for arm, point in designs:
+            if len(found) == most:
+                break
             ground = arm.ground
             if id(ground) not in self.crowds:
                 self.crowds[id(ground)] = ground.crowd(self.models)
@@ -229,7 +254,7 @@ class _Final:
             commands = ground.trial(ground.rest + share * (course - ground.rest))
             if np.any(commands.course != ground.rest):
                 found.append(_Kept(ground, arm.family.name, commands, share, excess))
-            progress("limits", (k + 1) / len(designs))
+            progress("limits", len(found) / most)
         return found
 
 
@@ -243,48 +268,75 @@ def _why_nothing(arms: Sequence[Arm]) -> str:
 
 
 def _best(kept: Sequence[_Kept], draws: int, seed: int, over: Over, progress: Progress) -> _Kept:
-    """The one whose trial settles most, by chance and then by gaps, rivals refitted; the best few with some draws."""
+    """The one whose trial settles most, rivals refitted; with some draws where it counts.
+
+    Pairs of which all designs settle as much do not decide, so that these need no draws.
+    """
     if len(kept) == 1:
         return kept[0]
-    ranked = sorted(_judged(kept, 0, seed, over, progress), key=lambda own: own[0], reverse=True)
-    few = [own for _, own in ranked[:CANDIDATES]]
-    if draws and not over():
-        few = [
-            own for _, own in sorted(_judged(few, draws, seed, over, progress), key=lambda own: own[0], reverse=True)
-        ]
-    return few[0]
+    rivals = kept[0].ground.rivals
+    judged = _judged(kept, 0, told_pairs(rivals), seed, over, progress)
+    chances = np.array([[one.chance for one in own.powers] for own in judged])
+    open_ = np.flatnonzero((chances.min(axis=0) < 1 - DECIDED) & (chances.max(axis=0) > DECIDED))
+    if draws and len(open_) and not over():
+        pairs = [told_pairs(rivals)[k] for k in open_]
+        judged = _judged([own.kept for own in judged], draws, pairs, seed, over, progress)
+    return max(judged, key=lambda own: own.score).kept
+
+
+def _powers(chosen: _Kept, count: int, pairs: Sequence[tuple[int, int]], seed: int) -> list[Power]:
+    """For pairs of rivals, with so many draws of the true one; of many pairs those that few draws decide have few."""
+    few = len(pairs) > ALL_PAIRS * (ALL_PAIRS - 1)
+    found = chosen.powers(np.random.default_rng([seed, 2]), LEAST_DRAWS if few else count, pairs)
+    if not few or count <= LEAST_DRAWS:
+        return found
+    open_ = [k for k, own in enumerate(found) if DECIDED < own.chance < 1 - DECIDED]
+    more = chosen.powers(np.random.default_rng([seed, 2]), count, [pairs[k] for k in open_]) if open_ else []
+    known = dict(zip(open_, more, strict=True))
+    return [known.get(k, own) for k, own in enumerate(found)]
+
+
+@dataclass(frozen=True, eq=False)
+class _Judged:
+    """A design with its power for some pairs."""
+
+    kept: _Kept
+    powers: Sequence[Power]
+
+    @property
+    def score(self) -> tuple[float, list[float]]:
+        """The mean chance, to 1 %, and then gaps over their uncertainty, the worst pair's first.
+
+        Of designs that settle all pairs, the one that would still do so if a law were a little wrong.
+        """
+        chance = float(np.mean([one.chance for one in self.powers])) if self.powers else 0.0
+        return round(chance, 2), sorted(round(_surety(one), 1) for one in self.powers)
+
+
+def _surety(power: Power) -> float:
+    """A gap over its standard deviation, by noise, 2√G, and by what is not known of the true rival."""
+    mean = float(power.gaps.mean())
+    return mean / math.sqrt(4.0 * mean + float(power.gaps.var()))
 
 
 def _judged(
-    kept: Sequence[_Kept], draws: int, seed: int, over: Over, progress: Progress
-) -> list[tuple[tuple[float, float], _Kept]]:
-    """Designs with the mean chance of pairs, to 1 %, and the mean of their gaps' logarithms."""
-    found = list[tuple[tuple[float, float], _Kept]]()
+    kept: Sequence[_Kept], draws: int, pairs: Sequence[tuple[int, int]], seed: int, over: Over, progress: Progress
+) -> list[_Judged]:
+    """Designs with their power; those that diverge are left out."""
+    found = list[_Judged]()
     for k, own in enumerate(kept):
         if found and over():
             break
-        rivals = own.ground.rivals
-        try:
-            several = powers(
-                rivals, own.commands, np.random.default_rng([seed, 2]), draws=draws, pairs=told_pairs(rivals),
-                simulator=own.ground.simulator,
-            )  # fmt: skip
-        except SimulationDiverged:
-            continue
-        score = float(np.mean([one.chance for one in several])), float(np.mean([math.log1p(p.gap) for p in several]))
-        found.append(((round(score[0], 2), score[1]), own))
+        rng = np.random.default_rng([seed, 2])
+        with suppress(SimulationDiverged):
+            found.append(_Judged(own, own.powers(rng, draws, pairs)))
         progress("refits", (k + 1) / len(kept))
-    return found or [((0.0, 0.0), own) for own in kept]
+    return found or [_Judged(own, ()) for own in kept]
 
 
 def _largest(arms: Sequence[Arm], final: _Final) -> list[Commands]:
     """Of what was tried first the trial whose commands go farthest: where nothing decides, the search does not move."""
-    found = [
-        own.commands
-        for arm in arms
-        if arm.largest is not None
-        for own in final.kept([(arm, arm.largest)], lambda stage, share: None)
-    ]
+    found = [own.commands for arm in arms if arm.largest is not None for own in final.kept([(arm, arm.largest)])]
     span = [float(np.ptp(own.course, axis=0).max()) for own in found]
     return [found[int(np.argmax(span))]] if found else []
 
@@ -308,11 +360,8 @@ def _ending(
     pair = both[0].first, both[0].second
     tried = [(arm, arm.nearest[pair]) for arm in arms if pair in arm.nearest]
     tried.sort(key=lambda own: -own[1].separation.distance(*pair))
-    for other in final.kept([(arm, own.point) for arm, own in tried[:1]], lambda stage, share: None):
-        several = powers(
-            rivals, other.commands, np.random.default_rng(0), draws=draws, pairs=[pair, pair[::-1]],
-            simulator=other.ground.simulator,
-        )  # fmt: skip
+    for other in final.kept([(arm, own.point) for arm, own in tried[:1]]):
+        several = other.powers(np.random.default_rng(0), draws, [pair, pair[::-1]])
         often = all(math.isfinite(own.repeats) for own in several)
         return Pair(both, "another trial" if often else "inseparable"), other.commands
     return Pair(both, "inseparable"), None

@@ -15,19 +15,15 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Any, Literal
 
-from equimus_ctrl.diagnosis.fitting import Data
 from equimus_ctrl.diagnosis.holdout import Holdout, choose_holdout
-from equimus_ctrl.diagnosis.policy import SearchPolicy
 from equimus_ctrl.diagnosis.results import Diagnosis
-from equimus_ctrl.diagnosis.rivals import Rival, Rivals
+from equimus_ctrl.diagnosis.rivals import Rival, Rivals, refitted_to
 from equimus_ctrl.errors import SimulationDiverged
-from equimus_ctrl.experiments.power import LIKELY
+from equimus_ctrl.experiments.power import LIKELY, margin
 from equimus_ctrl.experiments.results import Pair
 from equimus_ctrl.identification.parameters import unit_of
 from equimus_ctrl.shown import counted
 
-STEPS = 20
-"""Of the fit of an explanation that is no longer left, from where it was before the trial."""
 End = Literal["resolved", "inseparable", "trials", "seconds"]
 """Why there is no further trial: one explanation is left, nothing more can be distinguished within the limits, or the
 budget of trials or of seconds is spent."""
@@ -102,21 +98,6 @@ def label_of(rival: Rival) -> str:
     return f"{rival.label} ({', '.join(sizes)})"
 
 
-def again(rival: Rival, diagnosis: Diagnosis) -> Rival:
-    """An explanation fitted to what a diagnosis fitted, from where it was; its noise estimated along.
-
-    Raises:
-        SimulationDiverged: where it cannot follow these trials at all.
-    """
-    best = diagnosis.best
-    simulator = best.fit.problem.simulator
-    policy = SearchPolicy.of(diagnosis.model.robot.traits, simulator.engine)
-    data = Data(rival.parameters, diagnosis.train, simulator, policy=policy)
-    begin = (rival.theta, [segment.start for segment in diagnosis.train])
-    found = data.converge(data.coarse_fit((), [begin], best.noise, STEPS))
-    return replace(rival, theta=found.fit.theta, deviance=found.deviance, noise=found.noise)
-
-
 def no_longer_left(before: Rivals | None, diagnosis: Diagnosis, now: Rivals) -> tuple[Rival, ...]:
     """The explanations from before a trial that a diagnosis with it does not leave, fitted to what it fitted.
 
@@ -132,7 +113,7 @@ def no_longer_left(before: Rivals | None, diagnosis: Diagnosis, now: Rivals) -> 
         if label_of(rival) in labels:
             continue
         try:
-            found.append(again(rival, diagnosis))
+            found.append(refitted_to(rival, diagnosis))
         except SimulationDiverged:  # nothing could speak against it more
             found.append(replace(rival, deviance=math.inf))
     return tuple(found)
@@ -208,7 +189,8 @@ class Realised:
     Attributes:
         predicted: it; what it takes for the truth is what the diagnosis with the trial names first.
         gap: by how much −2Δln L has moved in favour of that.
-        settled: whether the diagnosis no longer leaves the other.
+        settled: whether the diagnosis no longer leaves the other, and that is behind by what is needed: an effect of a
+            given size is excluded then, not merely asked for at another size.
     """
 
     predicted: Predicted
@@ -237,13 +219,17 @@ def realised(
         gone: that it no longer does.
     """
     was = {label_of(rival): rival.deviance for rival in before.rivals}
-    after = {label_of(rival): rival.deviance for rival in (*gone, *now.rivals)}
-    named, left = label_of(now.rivals[0]), {label_of(rival) for rival in now.rivals}
-    return tuple(
-        Realised(own, (after[own.other] - after[own.true]) - (was[own.other] - was[own.true]), own.other not in left)
-        for own in predicted
-        if own.true == named and own.other in after
-    )
+    after = {label_of(rival): rival for rival in (*gone, *now.rivals)}
+    first, left = now.rivals[0], {label_of(rival) for rival in now.rivals}
+    needed, found = margin(now), list[Realised]()
+    for own in predicted:
+        if own.true != label_of(first) or own.other not in after:
+            continue
+        other = after[own.other]
+        gap = (other.deviance - first.deviance) - (was[own.other] - was[own.true])
+        behind = other.score(now.n) - first.score(now.n)
+        found.append(Realised(own, gap, own.other not in left and behind > needed))
+    return tuple(found)
 
 
 def held_out(given: Sequence[str], patterns: Sequence[str] = ()) -> Holdout | None:

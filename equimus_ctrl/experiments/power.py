@@ -1,8 +1,9 @@
 """The power of a trial: by how much it would favour the true rival, and the chance that it settles a pair.
 
-If rival i is true with parameters θᵢ, −2Δln L of a trial against rival j refitted is close to G + 2√G ξ, G what it is
-without noise and ξ standard normal. The pair is settled where that, and what the recordings so far say, D, is more than
-what a diagnosis asks for, δ (``margin``); the chance of it is the mean over what is known of θᵢ of
+If rival i is true with parameters θᵢ, −2Δln L of a trial against rival j is close to G + 2√G ξ, G what it is without
+noise and ξ standard normal. Both are refitted to the trial and what the recordings so far say of them, and the noise is
+estimated anew with what either leaves. The pair is settled where that, and what the recordings so far say, D, is more
+than what a diagnosis asks for, δ (``margin``); the chance of it is the mean over what is known of θᵢ of
 
     Φ((G + D − δ)/(2√G))
 """
@@ -17,13 +18,14 @@ from typing import Any
 import numpy as np
 from scipy.special import ndtr, ndtri
 
+from equimus_ctrl import computer
 from equimus_ctrl.diagnosis.policy import SearchPolicy
 from equimus_ctrl.diagnosis.rivals import Rivals
 from equimus_ctrl.diagnosis.scoring import equally_good
 from equimus_ctrl.diagnosis.thresholds import Thresholds
 from equimus_ctrl.errors import SimulationDiverged
 from equimus_ctrl.experiments.predicted import Commands, predicted_trials
-from equimus_ctrl.experiments.refitting import Target, as_estimated, refitted
+from equimus_ctrl.experiments.refitting import NoiseScale, Target, Task, refitted_all
 from equimus_ctrl.experiments.separation import Separation, separations
 from equimus_ctrl.identification.simulators import Simulator
 from equimus_ctrl.shown import Short
@@ -116,58 +118,68 @@ def powers(
     """
     simulator = simulator or rivals.simulator()
     wanted = rivals.pairs if pairs is None else list(pairs)
-    found = dict[tuple[int, int], Power]()
+    apart, truths = dict[int, Separation](), dict[int, list[_Truth]]()
     for first in dict.fromkeys(i for i, _ in wanted):
-        (apart,) = separations(rivals, [commands], along=first, simulator=simulator)
-        others = [j for i, j in wanted if i == first]
+        (apart[first],) = separations(rivals, [commands], along=first, simulator=simulator)
         rival = rivals.rivals[first]
         thetas = rival.draws(rng, draws) if draws else rival.theta[None]
-        gaps = _gaps(rivals, commands, apart, others, thetas, simulator)
-        for j in others:
-            found[first, j] = _power(rivals, apart, j, gaps[j])
-    return [found[pair] for pair in wanted]
+        truths[first] = _truths(rivals, first, commands, thetas, simulator)
+    whole = list(dict.fromkeys([*((i, i) for i in truths), *wanted]))
+    tasks = [(i, j, truth) for i, j in whole for truth in truths[i]]
+    refits = refitted_all([_task(rivals, apart[i], j, truth) for i, j, truth in tasks])
+    scale, seen = NoiseScale(rivals), dict[tuple[int, int], list[float]]()
+    for (i, j, truth), refit in zip(tasks, refits, strict=True):
+        seen.setdefault((i, j), []).append(scale.seen(i, j, truth.number, truth.target.times, refit))
+    return [_power(rivals, apart[i], j, np.array(seen[i, j]) - seen[i, i]) for i, j in wanted]
 
 
-def _gaps(
-    rivals: Rivals,
-    commands: Commands,
-    apart: Separation,
-    others: Sequence[int],
-    thetas: Array,
-    simulator: Simulator,
-) -> dict[int, Array]:
-    """For each other rival (n,) G of draws of the true one's parameters; those that diverge are left out.
+@dataclass(frozen=True, eq=False)
+class _Truth:
+    """A draw of the true rival's parameters.
 
-    What the true rival itself loses by refitting from its own estimates to the draw is taken off, to first order.
+    Attributes:
+        number: of the draw.
+        theta: (p,) it [unit of each].
+        target: what it shows in the trial.
     """
-    first = apart.along
+
+    number: int
+    theta: Array
+    target: Target
+
+
+def _truths(rivals: Rivals, first: int, commands: Commands, thetas: Array, simulator: Simulator) -> list[_Truth]:
+    """Draws of a rival; those that diverge are left out."""
     rival = rivals.rivals[first]
-    own = apart.gram[apart.places[first], apart.places[first]]
-    found: dict[int, list[float]] = {j: [] for j in others}
-    for k, theta in enumerate(thetas):
+    threads = computer.worker_count(simulator.threads, name="threads")
+
+    def shown(draw: tuple[int, Array]) -> _Truth | None:
+        number, theta = draw
         truth = rival.model_at(theta)
         try:
             ((segments),) = predicted_trials(rivals, truth, [commands], simulator)
         except SimulationDiverged:
-            continue
-        target = Target.of(rivals, truth, segments, simulator)
-        times = [s.trial.sample_times for s in segments]
-        z = np.linalg.solve(rival.spread, (theta - rival.theta) / rival.parameters.scale)
-        lost = float(z @ own @ np.linalg.solve(np.eye(len(z)) + own, z))
-        for j in others:
-            other = rivals.rivals[j]
-            led = other.theta + other.parameters.scale * (other.spread @ apart.undone(first, j))
-            refit = refitted(other, target, [led])
-            seen = as_estimated(rivals, first, j, times, refit.left, np.random.default_rng(k))
-            found[j].append(max(min(seen, refit.cost) - lost, LEAST))
-    if others and not found[others[0]]:
+            return None
+        return _Truth(number, theta, Target.of(rivals, truth, segments, simulator))
+
+    found = [truth for _, truth in computer.side_by_side(threads, shown, enumerate(thetas)) if truth is not None]
+    if not found:
         raise SimulationDiverged(f"{rival.label}: the simulation diverges with every draw of its parameters")
-    return {j: np.array(own) for j, own in found.items()}
+    return found
+
+
+def _task(rivals: Rivals, apart: Separation, second: int, truth: _Truth) -> Task:
+    """A rival, begun where the first order leads as well, the true one at the truth."""
+    other = rivals.rivals[second]
+    if second == apart.along:
+        return Task(other, truth.target, [truth.theta])
+    led = other.theta + other.parameters.scale * (other.spread @ apart.undone(apart.along, second))
+    return Task(other, truth.target, [led])
 
 
 def _power(rivals: Rivals, apart: Separation, second: int, gaps: Array) -> Power:
     """Of what one trial says, and several: their gap grows as it does to first order."""
-    first = apart.along
+    first, gaps = apart.along, np.maximum(gaps, LEAST)
     ahead, needed = rivals.ahead(first, second), margin(rivals, apart.n)
 
     def chance(repeats: int) -> float:

@@ -34,7 +34,8 @@ FARTHEST = 1e3
 ALIKE = 0.05
 """Designs whose divergences differ by less are alike."""
 EXAMPLES = 2
-"""Trials by which the directions are found along which free numbers count, where simulations take long."""
+"""Trials by which the directions are found along which free numbers count: of the first that were tried those that go
+farthest."""
 
 Over = Callable[[], bool]
 """Whether the time is up."""
@@ -77,8 +78,8 @@ class Arm:
         self.largest: Array | None = None
         self.nearest: dict[tuple[int, int], Tried] = {}
         self.spent = 0
-        self._seed, self._bases = seed, list[Separation]() if ground.takes_long else None
-        self._found: Bases | None = None
+        self._seed, self._found = seed, list[Separation]()
+        self._bases: Bases | None = None
         self._cma: cmaes.CMA | None = None
 
     @property
@@ -88,17 +89,17 @@ class Arm:
 
     @property
     def candidates(self) -> list[Array]:
-        """Points that are worth a closer look: the best, and of all that are as good but for a little the smallest.
+        """Points that are worth a closer look: the best, and of those about as good the one that goes farthest.
 
-        Where all pairs are settled to first order, that says little of large motions: there refits find what
-        linearising does not, and what they leave is taken for noise.
+        Where all pairs are settled to first order, that says little more. Refits tell these apart, and motions beyond
+        what friction or noise hides hold where a law is a little wrong.
         """
         if self.best is None:
             return []
         alike = [p for p, value in zip(self.points, self.values, strict=True) if value > self.best.value - ALIKE]
         span = [float(np.abs(self.commands(p).course - self.ground.rest).max(axis=0).sum()) for p in alike]
-        smallest = alike[int(np.argmin(span))]
-        return [self.best.point] if smallest is self.best.point else [self.best.point, smallest]
+        farthest = alike[int(np.argmax(span))]
+        return [self.best.point] if farthest is self.best.point else [self.best.point, farthest]
 
     def commands(self, point: Array) -> Commands:
         """Of a point."""
@@ -112,12 +113,8 @@ class Arm:
             middle[:, 0] = np.linspace(0.0, 1.0, AMPLITUDES)
             costs = self._costs(middle)
             self.largest = next((p for p, cost in zip(middle[::-1], costs[::-1], strict=True) if cost <= 0), None)
-            self._cma = cmaes.CMA(
-                mean=middle[int(np.argmin(costs))],
-                sigma=SIGMA,
-                bounds=np.tile([0.0, 1.0], (n, 1)),
-                seed=self._seed,
-            )
+            mean, bounds = middle[int(np.argmin(costs))], np.tile([0.0, 1.0], (n, 1))
+            self._cma = cmaes.CMA(mean=mean, sigma=SIGMA, bounds=bounds, seed=self._seed)
             return
         points = [np.clip(self._cma.ask(), 0.0, 1.0) for _ in range(self._cma.population_size)]
         self._cma.tell(list(zip(points, self._costs(np.array(points)), strict=True)))
@@ -142,20 +139,25 @@ class Arm:
             self.best = own
         for pair in self.ground.rivals.pairs:
             best = self.nearest.get(pair)
-            if best is None or own.separation.distance(*pair) > best.separation.distance(*pair):
+            if best is None or own.separation.distances[pair] > best.separation.distances[pair]:
                 self.nearest[pair] = own
 
     def _apart(self, designs: Sequence[Commands]) -> list[Separation]:
-        """How far rivals are apart; where simulations take long along the directions that count."""
+        """How far rivals are apart, along the directions that count once these are known."""
+        if not designs:
+            return []
         rivals, simulator = self.ground.rivals, self.ground.simulator
-        found = list[Separation]()
-        if self._bases is not None and self._found is None and designs:
-            found = separations(rivals, designs[: EXAMPLES - len(self._bases)], simulator=simulator)
-            self._bases += found
-            if len(self._bases) == EXAMPLES:
-                self._found = leading(rivals, self._bases)
-        rest = designs[len(found) :]
-        return [*found, *(separations(rivals, rest, bases=self._found, simulator=simulator) if rest else ())]
+        more = EXAMPLES - len(self._found) if self._bases is None else 0
+        count = max(len(designs) - more, 0)
+        whole = separations(rivals, designs[count:], simulator=simulator) if more else []
+        self._found += whole
+        if self._bases is None and len(self._found) >= EXAMPLES:
+            self._bases = leading(rivals, self._found)
+        rest = designs[:count]
+        along = self._bases
+        return [
+            *(separations(rivals, rest, bases=along, simulator=simulator) if rest else ()), *whole
+        ]  # fmt: skip
 
 
 def search(

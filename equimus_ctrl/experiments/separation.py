@@ -11,31 +11,42 @@ in −2Δln L where i is true and all free numbers of j are refitted (T-optimali
 57). What i predicts is not sure itself; designs are compared by the distance over the uncertainty of both predictions
 (Buzzi-Ferraris & Forzatti 1983, Chem. Eng. Sci. 38, 225), which is never larger:
 
-    Ḡᵢⱼ = dᵀ(I + UᵢUᵢᵀ + UⱼUⱼᵀ)⁻¹d
+    Ḡᵢⱼ = dᵀ(I + UᵢUᵢᵀ + UⱼUⱼᵀ)⁻¹d = min over zᵢ, zⱼ of ‖d + Uᵢzᵢ − Uⱼzⱼ‖² + ‖zᵢ‖² + ‖zⱼ‖²
 
 Both come from the Gram matrix of [d, U] by Woodbury's identity: no matrix has as many rows and columns as there are
 samples. The free numbers of starts are eliminated before, with the prior that they have in fits.
+
+Derivatives are secants over what is not known: the slopes of the plane that fits best through predictions at
+z = ±√3 along each direction (statistical linearisation: Lefebvre, Bruyninckx & De Schutter 2002, IEEE Trans. Automatic
+Control 47; the span: Nørgaard, Poulsen & Ravn 2000, Automatica 36). Where a joint sticks or slides a tangent says what
+holds next to the estimates alone.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from itertools import combinations
 
 import numpy as np
 from numpy.typing import NDArray
 
 from equimus_ctrl.diagnosis.rivals import Rival, Rivals
-from equimus_ctrl.engines.trials import Predicted
 from equimus_ctrl.experiments.predicted import Commands, predicted_trials
-from equimus_ctrl.identification.information import start_precision
-from equimus_ctrl.identification.noise import Noise, whiten
+from equimus_ctrl.experiments.starts import Starts
 from equimus_ctrl.identification.residuals import difference
 from equimus_ctrl.identification.segments import Segment
 from equimus_ctrl.identification.simulators import Simulator
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.types import Array
 
+SPAN = 3.0**0.5
+"""How many standard deviations from the estimates predictions are compared: the fourth moment of a normal
+distribution is 3, so the third-order term of what is expected is right."""
+CLOSE = 1e-9
+"""Of the largest: directions along which bounds leave less than this share of a span have no slope, and what adds less
+to one does not count for it."""
 UNSEEN = 0.1
 """What is free counts along directions that change predictions by more than this, in χ² at one standard deviation."""
 SETTLED = 4.0
@@ -45,58 +56,13 @@ BEYOND = 1e-3
 
 
 @dataclass(frozen=True, eq=False)
-class Starts:
-    """Free numbers of the segments' starts, eliminated to first order with the prior that they have in fits.
-
-    Of whitened values v, with N the whitened derivatives by a start and P its prior precision's root, it leaves
-    [v − N s, P s] at the s at which the sum of their squares is least.
-
-    Attributes:
-        noise: by which values are whitened.
-        segments: whose starts.
-        slopes: for each (m, nc, s) derivatives by a start.
-        by_start: for each (N, s) N.
-        answers: for each (s, N) s of v.
-    """
-
-    noise: Noise
-    segments: tuple[Segment, ...]
-    slopes: tuple[Array, ...]
-    by_start: tuple[Array, ...]
-    answers: tuple[Array, ...]
-
-    @classmethod
-    def of(cls, noise: Noise, segments: Sequence[Segment], slopes: Sequence[Array]) -> Starts:
-        """Of derivatives (m, nc, s) by the free numbers of each segment's start."""
-        columns, answers = list[Array](), list[Array]()
-        for segment, slope in zip(segments, slopes, strict=True):
-            own = whiten(noise, segment.trial.sample_times, slope).reshape(-1, slope.shape[2])
-            columns.append(own)
-            held = own.T @ own + np.diag(start_precision(segment, noise) ** 2)
-            answers.append(np.asarray(np.linalg.solve(held, own.T), dtype=np.float64))
-        return cls(noise, tuple(segments), tuple(slopes), tuple(columns), tuple(answers))
-
-    def reduced(self, place: int, values: Array) -> Array:
-        """(N + s, k) of values (m, nc, k) of a segment [rad, m or a channel's own unit]."""
-        segment, by_start = self.segments[place], self.by_start[place]
-        whole = whiten(self.noise, segment.trial.sample_times, values).reshape(-1, values.shape[2])
-        own = self.answers[place] @ whole
-        return np.concatenate([whole - by_start @ own, start_precision(segment, self.noise)[:, None] * own])
-
-    def left(self, place: int, values: Array) -> Array:
-        """(m, nc) of values (m, nc) of a segment, what no start takes, not whitened."""
-        whole = whiten(self.noise, self.segments[place].trial.sample_times, values[..., None])
-        return np.asarray(values - self.slopes[place] @ (self.answers[place] @ whole.ravel()))
-
-
-@dataclass(frozen=True, eq=False)
 class Separation:
     """How far rivals are apart in one trial, to first order.
 
     Attributes:
         along: the rival that is simulated as the truth.
         gram: (R + Σq, R + Σq) of [y − y of ``along``, U]: all predictions, then each rival's derivatives, whitened.
-        places: for each rival those of its derivatives, the same for rivals that are as free as each other.
+        places: for each rival those of its derivatives.
         sound: (R,) which rivals' simulations went through; what did not is at no distance from anything.
         n: how many numbers the trial measures.
     """
@@ -115,15 +81,20 @@ class Separation:
         """Ḡᵢⱼ, by so many repeats of the trial."""
         return self._distance(first, second, (first, second), repeats)
 
-    @property
+    @cached_property
     def gaps(self) -> Array:
         """(R, R) Gᵢⱼ."""
-        return self._table(self.gap)
+        count = len(self.places)
+        return np.array([[self.gap(i, j) if i != j else 0.0 for j in range(count)] for i in range(count)])
 
-    @property
+    @cached_property
     def distances(self) -> Array:
-        """(R, R) Ḡᵢⱼ."""
-        return self._table(self.distance)
+        """(R, R) Ḡᵢⱼ = Ḡⱼᵢ."""
+        count = len(self.places)
+        found = np.zeros((count, count))
+        for i, j in combinations(range(count), 2):
+            found[i, j] = found[j, i] = self.distance(i, j)
+        return found
 
     def undone(self, first: int, second: int) -> Array:
         """(q,) z with which rival j comes nearest to what rival i predicts."""
@@ -131,10 +102,6 @@ class Separation:
         own = self.gram[place, place]
         towards = self.gram[place, first] - self.gram[place, second]
         return np.asarray(np.linalg.solve(own + np.eye(len(own)), towards))
-
-    def _table(self, of: Callable[[int, int], float]) -> Array:
-        count = len(self.places)
-        return np.array([[of(i, j) if i != j else 0.0 for j in range(count)] for i in range(count)])
 
     def _distance(self, first: int, second: int, unsure: Sequence[int], repeats: float) -> float:
         """dᵀ(I + Σ UUᵀ)⁻¹d over rivals whose predictions are not sure, r times the Gram matrix of one trial."""
@@ -179,7 +146,11 @@ def separations(
 
 
 def apart_in(
-    rivals: Rivals, trials: Sequence[Sequence[Segment]], along: int, bases: Bases | None, simulator: Simulator
+    rivals: Rivals,
+    trials: Sequence[Sequence[Segment]],
+    along: int,
+    bases: Bases | None,
+    simulator: Simulator,
 ) -> list[Separation]:
     """The same of trials that are predicted and cut, see ``predicted.predicted_trials``."""
     segments = [segment for trial in trials for segment in trial]
@@ -204,15 +175,13 @@ def with_channel(
         values: (m,) of a model there, in units of the channel's noise, which is white.
         simulator: of the others.
     """
-    by = difference(rivals.model, simulator)
     count = len(rivals.rivals)
     predicted = np.array([values(rival.model) for rival in rivals.rivals])
     rows = np.zeros((predicted.shape[1], len(apart.gram)))
     rows[:, :count] = (predicted - predicted[apart.along]).T
     for place, rival in zip(apart.places, rivals.rivals, strict=True):
-        points, turn = _neighbours(rival, None, by)
-        found = np.array([values(rival.model_at(theta)) for theta in points])
-        rows[:, place] = (found[1:] - found[0]).T @ turn
+        points, turn = _neighbours(rival, None)
+        rows[:, place] = np.array([values(rival.model_at(theta)) for theta in points]).T @ turn
     return replace(apart, gram=apart.gram + rows.T @ rows, n=apart.n + len(rows))
 
 
@@ -221,104 +190,91 @@ class _Neighbours:
     """Rivals simulated on some segments, each with its neighbours in parameters, and one with those of its start.
 
     Attributes:
+        places: for each rival those of its derivatives.
         predicted: for each segment (m, nc, R) of the rivals.
         slopes: for each segment (m, nc, Σq) derivatives by z.
         by_start: for each segment (m, nc, s) of the one along which it is.
-        places: for each rival those of its derivatives.
         sound: for each segment (R,).
     """
 
-    predicted: list[Array]
-    slopes: list[Array]
-    by_start: list[Array]
     places: tuple[slice, ...]
-    sound: list[NDArray[np.bool_]]
+    predicted: list[Array] = field(default_factory=list)
+    slopes: list[Array] = field(default_factory=list)
+    by_start: list[Array] = field(default_factory=list)
+    sound: list[NDArray[np.bool_]] = field(default_factory=list)
 
     @classmethod
     def of(
-        cls, rivals: Rivals, along: int, segments: Sequence[Segment], bases: Bases | None, simulator: Simulator
+        cls,
+        rivals: Rivals,
+        along: int,
+        segments: Sequence[Segment],
+        bases: Bases | None,
+        simulator: Simulator,
     ) -> _Neighbours:
         """Simulate them, one batch."""
-        by = difference(rivals.model, simulator)
-        models, turns, first = [rival.model for rival in rivals.rivals], list[Array](), list[int]()
-        known, places = dict[int, slice](), list[slice]()
-        for k, rival in enumerate(rivals.rivals):
-            # What would just not have been seen changes no derivatives that the recordings would show.
-            twin = next(j for j, other in enumerate(rivals.rivals) if rival.as_free_as(other))
-            if twin == k:
-                points, turn = _neighbours(rival, None if bases is None else bases[k], by)
-                first.append(len(models))
-                models += [rival.model_at(theta) for theta in points]
-                turns.append(turn)
-                begin = sum(own.shape[1] for own in turns[:-1])
-                known[k] = slice(begin, begin + turn.shape[1])
-            places.append(known[twin])
+        by, several = difference(rivals.model, simulator), rivals.rivals
+        models = [rival.model for rival in several]
+        shown, turns, first = len(models), list[Array](), list[int]()
+        places, begin = list[slice](), shown
+        for k, rival in enumerate(several):
+            points, turn = _neighbours(rival, None if bases is None else bases[k])
+            first.append(len(models))
+            models += [rival.model_at(theta) for theta in points]
+            turns.append(turn)
+            places.append(slice(begin, begin + turn.shape[1]))
+            begin += turn.shape[1]
         most = max(len(segment.free_at) for segment in segments)
-        own = len(models)
-        models += [rivals.rivals[along].model] * most
+        begun = len(models)
+        models += [several[along].model] * most
         starts = []
         for segment in segments:
             rows, free = np.tile(segment.start, (len(models), 1)), segment.free_at
-            rows[own + np.arange(len(free)), free] += by
+            rows[begun + np.arange(len(free)), free] += by
             starts.append(rows)
-        whole = cls([], [], [], tuple(places), [])
+        whole_of = cls(tuple(places))
         for segment, found in zip(segments, simulator(models, segments, starts), strict=True):
-            whole._add(segment, found, first, turns, own, along, by)
-        return whole
-
-    def _add(
-        self,
-        segment: Segment,
-        found: Predicted,
-        first: Sequence[int],
-        turns: Sequence[Array],
-        own: int,
-        truth: int,
-        by: float,
-    ) -> None:
-        """What was found for one segment."""
-        position = np.where(found.sound[:, None, None], found.position, 0.0)
-        slopes = []
-        for at, turn in zip(first, turns, strict=True):
-            steps = slice(at + 1, at + 1 + len(turn))
-            # A neighbour that diverges gives no slope.
-            sound = found.sound[steps] & found.sound[at]
-            change = np.where(sound[:, None, None], position[steps] - position[at], 0.0)
-            slopes.append(np.moveaxis(change, 0, -1) @ turn)
-        moved = np.where(found.sound[own:, None, None], position[own:] - position[truth], 0.0) / by
-        self.predicted.append(np.moveaxis(position[: len(self.places)], 0, -1))
-        self.slopes.append(np.concatenate(slopes, axis=2))
-        self.by_start.append(np.moveaxis(moved, 0, -1)[..., : len(segment.free_at)])
-        self.sound.append(found.sound[: len(self.places)])
+            position = np.where(found.sound[:, None, None], found.position, 0.0)
+            slopes = []
+            for at, turn in zip(first, turns, strict=True):
+                near = slice(at, at + len(turn))
+                # Where a neighbour diverges, there is no slope along any direction for which it counts.
+                lost = np.any(np.abs(turn[~found.sound[near]]) > CLOSE, axis=0)
+                slopes.append(np.moveaxis(position[near], 0, -1) @ np.where(lost, 0.0, turn))
+            moved = np.where(found.sound[begun:, None, None], position[begun:] - position[along], 0.0) / by
+            whole_of.predicted.append(np.moveaxis(position[:shown], 0, -1))
+            whole_of.slopes.append(np.concatenate(slopes, axis=2))
+            whole_of.by_start.append(np.moveaxis(moved, 0, -1)[..., : len(segment.free_at)])
+            whole_of.sound.append(found.sound[:shown])
+        return whole_of
 
     def separation(self, along: int, starts: Starts, places: Sequence[int]) -> Separation:
         """Of the trial that some of the segments make up."""
-        count = len(self.places)
-        size = count + max(own.stop for own in self.places)
+        size = max(own.stop for own in self.places)
         gram, n = np.zeros((size, size)), 0
         for k in places:
             apart = self.predicted[k] - self.predicted[k][..., along : along + 1]
             rows = starts.reduced(k, np.concatenate([apart, self.slopes[k]], axis=2))
             gram += rows.T @ rows
             n += apart.shape[0] * apart.shape[1]
-        behind = tuple(slice(count + own.start, count + own.stop) for own in self.places)
-        return Separation(along, gram, behind, np.all([self.sound[k] for k in places], axis=0), n)
+        sound = np.all([self.sound[k] for k in places], axis=0)
+        return Separation(along, gram, self.places, sound, n)
 
 
-def _neighbours(rival: Rival, basis: Array | None, by: float) -> tuple[list[Array], Array]:
-    """[(p,)] a point and its neighbours within the bounds, and (k, q) how their changes add up to derivatives by z.
+def _neighbours(rival: Rival, basis: Array | None) -> tuple[list[Array], Array]:
+    """[(p,)] points about the estimates within the bounds, and (k, q) how predictions there add up to derivatives by z.
 
-    Without a basis each parameter goes by itself, in units of its scale, from the estimates. Else all go along each
-    direction of the basis, by as much of the parameter that goes farthest, from where that is within the bounds.
+    They lie ±√3 standard deviations away along each direction, less where the bounds are nearer or a parameter would
+    change by more than its scale. The derivatives are those of the plane that fits best.
     """
-    free = rival.parameters
-    if basis is None:
-        away = by * free.scale * np.where(rival.theta + by * free.scale <= free.high, 1.0, -1.0)
-        return [rival.theta, *(rival.theta + np.diag(away))], rival.spread / (away / free.scale)[:, None]
-    whole = rival.spread @ basis
-    size = by / np.maximum(np.abs(whole).max(axis=0, initial=0.0), 1e-300)
-    inside = np.clip(rival.theta, free.low + by * free.scale, free.high - by * free.scale)
-    return [inside, *(inside + free.scale * (whole * size).T)], np.diag(1.0 / size)
+    free, spread = rival.parameters, rival.spread
+    away = SPAN * (spread if basis is None else spread @ basis).T
+    away = away / np.maximum(np.abs(away).max(axis=1, initial=0.0, keepdims=True), 1.0)
+    points = np.clip(rival.theta + free.scale * np.concatenate([away, -away]), free.low, free.high)
+    z = np.linalg.solve(spread, ((points - rival.theta) / free.scale).T).T
+    z = z if basis is None else z @ basis
+    plane = np.linalg.pinv(np.column_stack([np.ones(len(z)), z]), rcond=CLOSE)
+    return list(points), np.asarray(plane[1:].T)
 
 
 def leading(rivals: Rivals, examples: Sequence[Separation], least: float = UNSEEN) -> list[Array]:

@@ -10,6 +10,7 @@ from statistics import median
 from typing import Any, Literal, get_args
 
 from equimus_ctrl.experiments.loop import Realised
+from equimus_ctrl.experiments.refitting import EXACT
 from equimus_ctrl.proof.answers import OURS, STRONG, Case, Places
 from equimus_ctrl.proof.designing import End
 from equimus_ctrl.proof.drawing import Kind
@@ -40,14 +41,14 @@ def outcome(case: Case) -> Outcome:
 
 
 def near(predicted: float, realised: float, noise: bool = True) -> bool:
-    """Whether a realised gap is within a factor of two of a predicted one.
+    """Whether a realised gap is within a factor of two of a predicted one, both as exact as refits are.
 
     Args:
         predicted: G.
         realised: it.
         noise: whether its noise, of the standard deviation 2√G, may move it further.
     """
-    room = 2.0 * math.sqrt(max(predicted, 0.0)) if noise else 0.0
+    room = EXACT + (2.0 * math.sqrt(max(predicted, 0.0)) if noise else 0.0)
     return predicted / FACTOR - room <= realised <= predicted * FACTOR + room
 
 
@@ -71,7 +72,7 @@ class Gap:
     def within(self) -> bool:
         """Whether the predicted interval holds it."""
         own = self.realised.predicted
-        return own.low <= self.realised.gap <= own.high
+        return own.low - EXACT <= self.realised.gap <= own.high + EXACT
 
     def near(self, noise: bool = True) -> bool:
         """Whether it is within a factor of two, see ``near``."""
