@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from equimus_ctrl.errors import ConfigError, unknown_name
-from equimus_ctrl.learning.observing import LIMIT, Memory, Scaling
+from equimus_ctrl.learning.observing import Memory, Scaling, bounded
 from equimus_ctrl.learning.randomisation import Draws
 from equimus_ctrl.learning.settings import EnvSettings
 from equimus_ctrl.learning.tasks import Rows, Task
@@ -82,6 +82,11 @@ class Episodes:
         self._known: dict[int, Unit] = {}
         self.robots, self._count = np.full(n, -1), np.zeros(n, dtype=np.int64)
         self._diverged = np.zeros(n, dtype=bool)
+
+    @property
+    def count(self) -> int:
+        """How many robots there are to be drawn."""
+        return self._draws.count
 
     @property
     def size(self) -> int:
@@ -167,7 +172,7 @@ class Episodes:
                 scaling.position(plant.position[rows]), plant.velocity[rows] / scaling.half,
                 scaling.action(plant.pressure[rows]), self.task.hidden(rows),
             ]  # fmt: skip
-        return np.clip(np.concatenate(parts, axis=1), -LIMIT, LIMIT).astype(np.float32)
+        return bounded(parts)
 
     def info(self, rows: Rows) -> dict[str, Array]:
         """(r,) each: what the task says, which ``robot`` it is, whether the simulation ``diverged``."""
