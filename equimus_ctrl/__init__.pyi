@@ -91,6 +91,7 @@ from .options import (
     RunExperimentsOptions as RunExperimentsOptions,
     ScoreOptions as ScoreOptions,
     SensitivityOptions as SensitivityOptions,
+    TrainOptions as TrainOptions,
     Shard as Shard,
     ValidateOptions as ValidateOptions,
 )
@@ -186,6 +187,7 @@ from .workflow import (
     save_model as save_model,
     score as score,
     sensitivity as sensitivity,
+    train as train,
     tune as tune,
     validate as validate,
     write_design as write_design,

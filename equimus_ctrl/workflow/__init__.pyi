@@ -83,5 +83,11 @@ from .scores import (
     gather as gather,
     score as score,
 )
+from .training import (
+    Trained as Trained,
+    film_of_training as film_of_training,
+    train as train,
+    write_training as write_training,
+)
 from .tuning import Tuned as Tuned, TunedFiles as TunedFiles, tune as tune, tune_into as tune_into
 from .validations import validate as validate
