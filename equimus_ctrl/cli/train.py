@@ -90,8 +90,8 @@ def _print(console: Console, found: Trained) -> None:
         if key in best
     )
     console.print(
-        f"Best after {best['steps']:,} of {found.curve[-1]['steps']:,} steps: mean return {best['return']:.4g} on unseen "
-        f"robots, {best['least']:.4g} on the worst{success}{more}; {why}.",
+        f"Best after {best['steps']:,} of {found.curve[-1]['steps']:,} steps: mean return {best['return']:.4g} on "
+        f"unseen robots, {best['least']:.4g} on the worst{success}{more}; {why}.",
         markup=False,
         soft_wrap=True,
     )

@@ -8,6 +8,7 @@ from typing import Any
 
 import cmaes
 import numpy as np
+from numpy.typing import NDArray
 
 from equimus_ctrl.errors import ConfigError
 from equimus_ctrl.learning.episodes import Episodes
@@ -29,7 +30,7 @@ class Burst:
     then: Array
     switch: float
 
-    def act(self, observed: Array, period: int) -> Array:
+    def act(self, observed: NDArray[np.float32], period: int) -> Array:
         """As of ``evaluation.Act``."""
         return np.tile(bursts(self.vector[None], period)[0], (len(observed), 1))
 

@@ -7,11 +7,12 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from equimus_ctrl.learning.episodes import ROBOT, Episodes
 from equimus_ctrl.types import Array
 
-Act = Callable[[Array, int], Array]
+Act = Callable[[NDArray[np.float32], int], Array]
 """(n, na) actions within ±1 of observations (n, size) after so many control periods."""
 
 
@@ -27,7 +28,7 @@ class Judged:
 
     returns: Array
     info: dict[str, Array]
-    success: Array | None
+    success: NDArray[np.bool_] | None
 
     def to_dict(self) -> dict[str, Any]:
         """Means, as JSON data."""
@@ -48,7 +49,7 @@ def judge(episodes: Episodes, act: Act, seed: int, robots: Array | None = None) 
     rows = np.arange(episodes.n)
     own = rows % episodes.count if robots is None else np.asarray(robots)
     for row in rows:
-        episodes.begin(int(row), np.random.default_rng([seed, row]), {ROBOT: int(own[row])})
+        episodes.begin(int(row), np.random.default_rng([seed, int(row)]), {ROBOT: int(own[row])})
     returns, going = np.zeros(episodes.n), np.ones(episodes.n, dtype=bool)
     info: dict[str, Array] = {}
     for period in range(episodes.periods):

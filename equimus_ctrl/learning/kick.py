@@ -86,6 +86,8 @@ class Kick(Task):
         ConfigError: where nobody says what kicks, or where the ball lies.
     """
 
+    finite = True
+
     def __init__(self, model: Model, settings: KickSettings) -> None:
         super().__init__("kick", settings.duration)
         self._settings = settings
@@ -144,8 +146,7 @@ class Kick(Task):
         return Start(), partial(_lay, place=self._lay[row].copy())
 
     def observed(self, rows: Rows, periods: NDArray[np.int64], noise: Array) -> Array:
-        """Where the ball is seen, if it is, from its usual place and over the way after which it has gone; the time
-        left."""
+        """Where the ball is seen from its usual place, over the way after which it has gone; and the time left."""
         left = self._time.left(periods)[:, None]
         if not self._settings.seen:
             return np.asarray(left)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -52,10 +53,10 @@ class Normalisation:
         if not (fits and np.isfinite(self.mean).all() and np.all(self.variance >= 0)):
             raise ConfigError("the normalisation of observations is not one finite mean and variance for each")
 
-    def __call__(self, observed: Array) -> Single:
+    def __call__(self, observed: NDArray[np.floating[Any]]) -> Single:
         """(n, size) of (n, size)."""
         scaled = (observed - self.mean) / np.sqrt(self.variance + self.epsilon)
-        return np.clip(scaled, -self.clip, self.clip).astype(np.float32)
+        return np.asarray(np.clip(scaled, -self.clip, self.clip), dtype=np.float32)
 
 
 @dataclass(frozen=True, eq=False)

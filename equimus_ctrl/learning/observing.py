@@ -20,7 +20,7 @@ AHEAD = (0.0, 0.05, 0.1, 0.2)
 
 def bounded(parts: Iterable[Array]) -> NDArray[np.float32]:
     """(r, size) what policies see, of its parts (r, …) side by side."""
-    return np.clip(np.concatenate(list(parts), axis=1), -LIMIT, LIMIT).astype(np.float32)
+    return np.asarray(np.clip(np.concatenate(list(parts), axis=1), -LIMIT, LIMIT), dtype=np.float32)
 
 
 class Sight(Protocol):

@@ -14,6 +14,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from equimus_ctrl.errors import ConfigError
 from equimus_ctrl.learning.network import Network, Normalisation
@@ -63,7 +64,7 @@ class Suited:
     @classmethod
     def to(cls, spec: PlantSpec, **more: Any) -> Suited:
         """Of a plant's spec."""
-        limits = {key: _floats(getattr(spec, key)) for key in LIMITS}
+        limits: dict[str, Any] = {key: _floats(getattr(spec, key)) for key in LIMITS}
         return cls(joints=spec.joints, actuators=spec.actuators, control_dt=spec.control_dt, **limits, **more)
 
     def check(self, spec: PlantSpec, where: str) -> int:
@@ -81,8 +82,8 @@ class Suited:
         for key in LIMITS:
             if not _same(getattr(self, key), getattr(spec, key)):
                 raise ConfigError(
-                    f"{where}: the policy is for {self.robot} with {key} {_shown(getattr(self, key))}, this robot's are "
-                    f"{_shown(getattr(spec, key))}"
+                    f"{where}: the policy is for {self.robot} with {key} {_shown(getattr(self, key))}, this robot's "
+                    f"are {_shown(getattr(spec, key))}"
                 )
         ratio = self.control_dt / spec.control_dt
         if round(ratio) < 1 or abs(ratio - round(ratio)) > 1e-6:
@@ -131,7 +132,7 @@ class Policy:
                 f"for {self.normalisation.mean.size} and is for {len(self.suited.actuators)} actuators"
             )
 
-    def act(self, observed: Array) -> Array:
+    def act(self, observed: NDArray[np.floating[Any]]) -> Array:
         """(n, na) actions within ±1, of observations (n, size), without exploring.
 
         Raises:
@@ -155,7 +156,7 @@ class Policy:
             "normalisation": {"epsilon": self.normalisation.epsilon, "clip": self.normalisation.clip},
             "record": self.record,
         }
-        layers = {f"weight.{k}": own for k, own in enumerate(self.network.weights)}
+        layers: dict[str, Any] = {f"weight.{k}": own for k, own in enumerate(self.network.weights)}
         layers |= {f"bias.{k}": own for k, own in enumerate(self.network.biases)}
         scale = {"mean": self.normalisation.mean, "variance": self.normalisation.variance}
         parts = {ABOUT: json.dumps(about, indent=1).encode(), ARRAYS: _packed({**layers, **scale})}

@@ -88,20 +88,16 @@ class PolicyController:
             memory.add(ROW, measured[None], observation.command[None])
         suited, dt = self.policy.suited, self.policy.suited.control_dt
         assert suited.sight is not None
-        seen = suited.sight.at(
-            period // state.every, lambda k: reference.position(state.start + k * dt), state.scaling
-        )
+        seen = suited.sight.at(period // state.every, lambda k: reference.position(state.start + k * dt), state.scaling)
         action = self.policy.act(bounded([memory.seen(ROW), seen[None]]))[0]
         command = state.scaling.command(action)
-        return command, PolicyState(
-            state.scaling, memory, state.every, state.start, state.dt, True, command
-        )
+        return command, PolicyState(state.scaling, memory, state.every, state.start, state.dt, True, command)
 
     def _measured(self, observation: Observation) -> Array:
         measured = np.asarray(observation.position)
         if not np.isfinite(measured).all():
             raise ControllerError(
-                f"{self.name}: the measured positions at {observation.time:.3f} s are {measured.tolist()}, and a policy "
-                "takes finite ones alone"
+                f"{self.name}: the measured positions at {observation.time:.3f} s are {measured.tolist()}, and a "
+                "policy takes finite ones alone"
             )
         return measured

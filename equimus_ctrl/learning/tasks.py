@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,6 +33,8 @@ class Task(ABC):
     scene: Scene | None = None
     sight: Sight | None = None
     blind: str = ""
+    finite: ClassVar[bool] = False
+    """Whether the task is over with its time, which policies see, and not only the simulation."""
     seen_size: int = 0
     """Numbers beside positions that are measured, with noise of their own."""
 

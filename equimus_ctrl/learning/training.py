@@ -32,7 +32,7 @@ from equimus_ctrl.types import Array
 
 LONGEST = 128
 """Control periods of a batch of an on-policy algorithm, at most."""
-BATCHES = 8
+BATCHES = 4
 """Parts of such a batch that take a gradient step each, at most."""
 ROLLOUTS = 4
 """Such batches of a round, or as many steps of another algorithm."""
@@ -41,8 +41,12 @@ SETTLES = {"Tanh": "tanh", "ReLU": "relu", "ELU": "elu", "LeakyReLU": "leaky_rel
 COUNTS = ("num_timesteps", "_n_updates", "_episode_num")
 
 
-def defaults(algorithm: str, envs: int, periods: int) -> dict[str, Any]:
-    """Arguments of an algorithm that suit episodes of so many control periods, all beside each other in a process."""
+def defaults(algorithm: str, envs: int, periods: int, finite: bool) -> dict[str, Any]:
+    """Arguments of an algorithm that suit episodes of so many control periods, all beside each other in a process.
+
+    PPO explores by functions of what it sees that hold for a batch (gSDE). Of a task that is over at a known time, as a
+    kick is, the whole return counts, undiscounted: what comes of a backswing comes late.
+    """
     if algorithm not in ("ppo", "a2c"):
         return {"learning_starts": 20 * envs, "gradient_steps": max(envs // 4, 1), "buffer_size": 200_000}
     steps = min(periods, LONGEST)
@@ -51,12 +55,12 @@ def defaults(algorithm: str, envs: int, periods: int) -> dict[str, Any]:
     whole = steps * envs
     parts = next(k for k in range(BATCHES, 0, -1) if whole % k == 0)
     return {
-        "n_steps": steps, "batch_size": whole // parts, "n_epochs": 10, "learning_rate": 1e-3, "gamma": 0.999,
-        "gae_lambda": 0.97, "use_sde": True, "sde_sample_freq": max(steps // 3, 1),
+        "n_steps": steps, "batch_size": whole // parts, "n_epochs": 10, "learning_rate": 3e-4, "use_sde": True,
+        "gamma": 1.0 if finite else 0.99, "gae_lambda": 1.0 if finite else 0.95,
     }  # fmt: skip
 
 
-class _Stop(BaseCallback):  # type: ignore[misc]
+class _Stop(BaseCallback):
     def __init__(self, stopped: Callable[[], bool]) -> None:
         super().__init__()
         self._stopped, self.done = stopped, False
@@ -84,7 +88,7 @@ class Trainer:
         self, algorithm: str, episodes: Episodes, seed: int, hyper: Mapping[str, Any], board: Path | None = None
     ) -> None:
         kind = getattr(stable_baselines3, algorithm.upper())
-        self.arguments = {**defaults(algorithm, episodes.n, episodes.periods), **hyper}
+        self.arguments = {**defaults(algorithm, episodes.n, episodes.periods, episodes.task.finite), **hyper}
         self._episodes, self._seed, self._algorithm = episodes, seed, algorithm
         gamma = float(self.arguments.get("gamma", 0.99))
         self._scaled = VecNormalize(VecMonitor(RobotVecEnv(episodes)), norm_reward=True, gamma=gamma)
@@ -172,7 +176,7 @@ class Trainer:
 
     def policy(self, suited: Suited) -> Policy:
         """What has been learned so far, without exploring."""
-        seen = self._scaled.obs_rms
+        seen: Any = self._scaled.obs_rms
         scale = Normalisation(
             np.array(seen.mean), np.array(seen.var), float(self._scaled.epsilon), float(self._scaled.clip_obs)
         )

@@ -147,7 +147,7 @@ def save_frames(frames: Sequence[Frame], path: Path, fps: float) -> VideoResult:
     elif suffix == ".mp4":
         note = WITHOUT_FFMPEG
     own = path.with_suffix(".gif")
-    _put(iter(frames), own, fps, size, None, sorted({tuple(map(int, row)) for row in _other_colours(frames)}))
+    _put(iter(frames), own, fps, size, None, sorted({(int(r), int(g), int(b)) for r, g, b in _other_colours(frames)}))
     return VideoResult(own, "frames", note)
 
 

@@ -58,7 +58,9 @@ class Trained(Short):
     def told(self) -> str:
         """How well it does."""
         suited = self.policy.suited
-        return f" to {suited.task} with {suited.robot}: return {self.best['return']:.4g} at {self.best['steps']:,} steps"
+        return (
+            f" to {suited.task} with {suited.robot}: return {self.best['return']:.4g} at {self.best['steps']:,} steps"
+        )
 
     def to_dict(self) -> dict[str, Any]:
         """As JSON data."""
