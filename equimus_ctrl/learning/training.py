@@ -19,6 +19,7 @@ import stable_baselines3
 import torch
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.logger import configure
+from stable_baselines3.common.save_util import recursive_getattr
 from stable_baselines3.common.torch_layers import FlattenExtractor
 from stable_baselines3.common.utils import set_random_seed
 from stable_baselines3.common.vec_env import VecMonitor, VecNormalize
@@ -30,12 +31,12 @@ from equimus_ctrl.learning.policy import Policy, Suited
 from equimus_ctrl.learning.sb3 import RobotVecEnv
 from equimus_ctrl.types import Array
 
+EPISODES = 4
+"""Of each robot in a round."""
 LONGEST = 128
-"""Control periods of a batch of an on-policy algorithm, at most."""
+"""Control periods of an episode that count for that, at most."""
 BATCHES = 4
-"""Parts of such a batch that take a gradient step each, at most."""
-ROLLOUTS = 4
-"""Such batches of a round, or as many steps of another algorithm."""
+"""Parts of what an on-policy algorithm gathered that take a gradient step each, at most."""
 SETTLES = {"Tanh": "tanh", "ReLU": "relu", "ELU": "elu", "LeakyReLU": "leaky_relu", "Identity": "identity"}
 """What torch calls the activations."""
 COUNTS = ("num_timesteps", "_n_updates", "_episode_num")
@@ -44,19 +45,23 @@ COUNTS = ("num_timesteps", "_n_updates", "_episode_num")
 def defaults(algorithm: str, envs: int, periods: int, finite: bool) -> dict[str, Any]:
     """Arguments of an algorithm that suit episodes of so many control periods, all beside each other in a process.
 
-    PPO explores by functions of what it sees that hold for a batch (gSDE). Of a task that is over at a known time, as a
-    kick is, the whole return counts, undiscounted: what comes of a backswing comes late.
+    Of a task that is over at a known time, as a kick is, the whole return counts, undiscounted: what comes of a
+    backswing comes late. Such a task has local optima, a kick without one among them, so PPO begins with commands all
+    over the range, keeps some of that (entropy), and sees several whole episodes of each robot before it learns.
     """
     if algorithm not in ("ppo", "a2c"):
         return {"learning_starts": 20 * envs, "gradient_steps": max(envs // 4, 1), "buffer_size": 200_000}
-    steps = min(periods, LONGEST)
+    steps = EPISODES * periods if finite else min(periods, LONGEST)
     if algorithm == "a2c":
         return {"n_steps": min(steps, 16)}
     whole = steps * envs
     parts = next(k for k in range(BATCHES, 0, -1) if whole % k == 0)
-    return {
-        "n_steps": steps, "batch_size": whole // parts, "n_epochs": 10, "learning_rate": 3e-4, "use_sde": True,
-        "gamma": 1.0 if finite else 0.99, "gae_lambda": 1.0 if finite else 0.95,
+    own: dict[str, Any] = {"n_steps": steps, "batch_size": whole // parts}
+    if not finite:
+        return own
+    return own | {
+        "n_epochs": 5, "learning_rate": 1e-3, "gamma": 1.0, "gae_lambda": 1.0, "ent_coef": 0.01,
+        "policy_kwargs": {"log_std_init": 0.7},
     }  # fmt: skip
 
 
@@ -99,7 +104,9 @@ class Trainer:
                 raise ConfigError(f"{algorithm}: {error}; it was given {self.arguments}") from None
         written = board is not None and importlib.util.find_spec("tensorboard") is not None
         self.model.set_logger(configure(str(board) if written else None, ["tensorboard"] if written else []))
-        self._steps = ROLLOUTS * episodes.n * min(episodes.periods, LONGEST)
+        least = EPISODES * min(episodes.periods, LONGEST)
+        gathered = int(getattr(self.model, "n_steps", 1))  # of each robot before an on-policy algorithm learns
+        self._steps = episodes.n * gathered * -(-least // gathered)
 
     @property
     def steps(self) -> int:
@@ -119,7 +126,7 @@ class Trainer:
             set_random_seed(seed)
             self._scaled.seed(seed)
             self.model.action_space.seed(seed)
-            self.model._last_obs = None
+            self.model._last_obs = self.model.ep_info_buffer = None
             try:
                 self.model.learn(self._steps, callback=stop, reset_num_timesteps=False, log_interval=1)
             except ValueError as error:
@@ -130,14 +137,15 @@ class Trainer:
         return not stop.done
 
     def said(self) -> float:
-        """Mean return of the latest episodes, explored; nan before any has ended."""
+        """Mean return of the latest episodes of the round, explored; nan before any has ended."""
         ended = self.model.ep_info_buffer or ()
         return float(np.mean([own["r"] for own in ended])) if ended else float("nan")
 
     def state(self) -> tuple[bytes, dict[str, Array]]:
         """What is to be kept between rounds."""
         buffer = io.BytesIO()
-        torch.save(self.model.get_parameters(), buffer)
+        loose = {name: recursive_getattr(self.model, name).detach() for name in self._loose()}
+        torch.save({"parameters": self.model.get_parameters(), "loose": loose}, buffer)
         arrays = {f"count.{name}": np.array(getattr(self.model, name)) for name in COUNTS if hasattr(self.model, name)}
         for name, own in (("observations", self._scaled.obs_rms), ("returns", self._scaled.ret_rms)):
             arrays |= {f"{name}.{key}": np.array(getattr(own, key)) for key in ("mean", "var", "count")}
@@ -156,7 +164,10 @@ class Trainer:
         """
         try:
             # Tensors and numbers alone: nothing that a file could have run.
-            self.model.set_parameters(torch.load(io.BytesIO(state), weights_only=True))
+            held = torch.load(io.BytesIO(state), weights_only=True)
+            self.model.set_parameters(held["parameters"])
+            for name in self._loose():
+                recursive_getattr(self.model, name).data.copy_(held["loose"][name])
             for name in COUNTS:
                 if f"count.{name}" in arrays:
                     setattr(self.model, name, int(arrays[f"count.{name}"]))
@@ -173,6 +184,10 @@ class Trainer:
                     setattr(replay, name, value.item())
         except FAILURES as error:
             raise ConfigError(f"the checkpoint does not fit what is trained ({error})") from None
+
+    def _loose(self) -> list[str]:
+        """Names of tensors that are learned beside the networks, such as a temperature."""
+        return list(self.model._get_torch_save_params()[1])
 
     def policy(self, suited: Suited) -> Policy:
         """What has been learned so far, without exploring."""
