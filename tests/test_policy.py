@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import itertools
 import json
 import zipfile
 from dataclasses import replace
@@ -35,7 +36,7 @@ def policy_for(episodes: Episodes, model: Model, seed: int = 0) -> Policy:
     """One that nobody trained, for what these show."""
     rng = np.random.default_rng(seed)
     sizes = (episodes.size, 16, episodes.action_size)
-    weights = tuple(rng.normal(size=(b, a)).astype(np.float32) / 2 for a, b in zip(sizes, sizes[1:], strict=False))
+    weights = tuple(rng.normal(size=(b, a)).astype(np.float32) / 2 for a, b in itertools.pairwise(sizes))
     biases = tuple(rng.normal(size=b).astype(np.float32) / 4 for b in sizes[1:])
     scale = Normalisation(rng.normal(size=sizes[0]) / 5, rng.uniform(0.2, 2, sizes[0]))
     task, own = episodes.task, episodes.settings

@@ -104,7 +104,25 @@ def test_it_learns_to_hold(tmp_path: Path) -> None:
 
 def test_on_the_command_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Any) -> None:
     monkeypatch.chdir(tmp_path)
-    told = "train kick --control 60 --envs 4 --unseen 1 --steps 1 --set duration=0.3 --seed 2 -o out --json".split()
+    told = [
+        "train",
+        "kick",
+        "--control",
+        "60",
+        "--envs",
+        "4",
+        "--unseen",
+        "1",
+        "--steps",
+        "1",
+        "--set",
+        "duration=0.3",
+        "--seed",
+        "2",
+        "-o",
+        "out",
+        "--json",
+    ]
     assert main(told) == 0
     said = capsys.readouterr()
     record = json.loads(said.out)
@@ -114,7 +132,7 @@ def test_on_the_command_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, ca
         "policy.zip", "checkpoint.zip", "curve.png", "kick.mp4", "record.json",
     } or Path("out/kick.gif").exists()  # fmt: skip
     assert "mean return" in said.err and "all steps are done" in said.err
-    assert main("run hold --set duration=0.3 --no-figures -c out/checkpoint.zip".split()) == 0
+    assert main(["run", "hold", "--set", "duration=0.3", "--no-figures", "-c", "out/checkpoint.zip"]) == 0
     capsys.readouterr()
     for more, sentence in (
         ("--hyper gama=1 -o x", "ppo: "),
