@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-import itertools
 import json
 import zipfile
 from dataclasses import replace
@@ -13,6 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 from learning_cases import VALVES, arm, leg
+from policy_cases import policy_for
 
 from equimus_ctrl.cli.main import main
 from equimus_ctrl.errors import ConfigError, ControllerError
@@ -20,7 +20,7 @@ from equimus_ctrl.learning.burst import POPULATION, Burst, bursts, search_burst
 from equimus_ctrl.learning.episodes import Episodes
 from equimus_ctrl.learning.evaluation import judge
 from equimus_ctrl.learning.network import ACTIVATIONS, Network, Normalisation
-from equimus_ctrl.learning.policy import Policy, Suited, training_state
+from equimus_ctrl.learning.policy import Policy, training_state
 from equimus_ctrl.learning.policy_controller import PolicyController
 from equimus_ctrl.loop import run
 from equimus_ctrl.models.model import Model
@@ -30,21 +30,6 @@ from equimus_ctrl.workflow.learning import make_episodes
 from equimus_ctrl.workflow.runs import load_controller, load_scenario, run_scenario
 
 HOLD = {"hip": "80", "knee": "20", "duration": "0.5"}
-
-
-def policy_for(episodes: Episodes, model: Model, seed: int = 0) -> Policy:
-    """One that nobody trained, for what these show."""
-    rng = np.random.default_rng(seed)
-    sizes = (episodes.size, 16, episodes.action_size)
-    weights = tuple(rng.normal(size=(b, a)).astype(np.float32) / 2 for a, b in itertools.pairwise(sizes))
-    biases = tuple(rng.normal(size=b).astype(np.float32) / 4 for b in sizes[1:])
-    scale = Normalisation(rng.normal(size=sizes[0]) / 5, rng.uniform(0.2, 2, sizes[0]))
-    task, own = episodes.task, episodes.settings
-    suited = Suited.to(
-        episodes.plant.spec, robot=model.name, history=own.history, privileged=own.privileged, task=task.name,
-        sight=task.sight, blind=task.blind,
-    )  # fmt: skip
-    return Policy(Network(weights, biases, ("tanh", "identity")), scale, suited, {"seed": seed})
 
 
 @pytest.fixture

@@ -24,7 +24,7 @@ class PolicyState:
         every: control periods of the plant that make one of the policy's.
         start: time of the first observation [s].
         dt: of the plant [s].
-        began: whether the policy has acted.
+        latest: control period of the policy in which it acted last; −1 before the first.
         command: (na,) that it holds.
     """
 
@@ -33,7 +33,7 @@ class PolicyState:
     every: int
     start: float
     dt: float
-    began: bool
+    latest: int
     command: Array
 
 
@@ -70,7 +70,7 @@ class PolicyController:
         scaling = Scaling(spec)
         memory = Memory(1, scaling, suited.history)
         memory.begin(ROW, self._measured(observation)[None], observation.command[None])
-        return PolicyState(scaling, memory, every, observation.time, spec.control_dt, False, observation.command)
+        return PolicyState(scaling, memory, every, observation.time, spec.control_dt, -1, observation.command)
 
     def step(self, observation: Observation, reference: Reference, state: PolicyState) -> tuple[Array, PolicyState]:
         """The next command.
@@ -79,19 +79,20 @@ class PolicyController:
             ControllerError: where a measured position is not finite.
         """
         measured = self._measured(observation)
-        period = round((observation.time - state.start) / state.dt)
-        if state.began and period % state.every:
+        # Also where a period of the plant was missed.
+        period = round((observation.time - state.start) / state.dt) // state.every
+        if period <= state.latest:
             return state.command, state
         memory = state.memory
-        if state.began:
+        if state.latest >= 0:
             memory = memory.copy()
             memory.add(ROW, measured[None], observation.command[None])
         suited, dt = self.policy.suited, self.policy.suited.control_dt
         assert suited.sight is not None
-        seen = suited.sight.at(period // state.every, lambda k: reference.position(state.start + k * dt), state.scaling)
+        seen = suited.sight.at(period, lambda k: reference.position(state.start + k * dt), state.scaling)
         action = self.policy.act(bounded([memory.seen(ROW), seen[None]]))[0]
         command = state.scaling.command(action)
-        return command, PolicyState(state.scaling, memory, state.every, state.start, state.dt, True, command)
+        return command, PolicyState(state.scaling, memory, state.every, state.start, state.dt, period, command)
 
     def _measured(self, observation: Observation) -> Array:
         measured = np.asarray(observation.position)
