@@ -25,7 +25,7 @@ def training_figure(curve: Sequence[Mapping[str, Any]], task: str, goal: Mapping
     top = axes[0, 0]
     top.plot(steps, [row["return"] for row in curve], color=style.INK, label="unseen robots, mean")
     top.plot(steps, [row["least"] for row in curve], color=style.INK, lw=0.8, ls=":", label="unseen robots, least")
-    top.plot(steps, [row["explored"] for row in curve], color=style.REFERENCE, lw=0.8, label="in training, explored")
+    top.plot(steps, [row["explored"] for row in curve], color=style.INK, lw=0.8, ls="--", label="in training, explored")
     for name, value in (goal or {}).items():
         top.axhline(value, color=style.INK, lw=0.8, ls="--")
         top.annotate(name, (steps[-1], value), ha="right", va="bottom", fontsize=8)
