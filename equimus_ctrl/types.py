@@ -355,6 +355,43 @@ class Run(Short):
         )
 
 
+@dataclass(frozen=True, eq=False, repr=False)
+class FeedbackLaw(Short):
+    """Feedback by which a robot tracks references of its joints: a feed-forward, and PD on the error of tracking.
+
+        u_k = f_k + K e_k + D d_k,    e_k = r_k − y_k,    d_k = d_{k−1} + h/(T + h) ((e_k − e_{k−1})/h − d_{k−1})
+
+    r_k is the reference, y_k what sensors show, f_k the feed-forward, h the time between commands. d_k is the filtered
+    rate of the error, 0 at first. Commands are clipped to their ranges. It is PD with feed-forward of computed torques
+    (Siciliano et al., *Robotics*, 2009, section 8.5.2).
+
+    Attributes:
+        stiffness: K (n_actuators, n_joints) [unit of each command per rad or m].
+        damping: D (n_actuators, n_joints) [the same in a second].
+        smoothing: T, time constant of the filter of the error's rate [s].
+
+    Raises:
+        ConfigError: for matrices of two shapes, or numbers that cannot be.
+    """
+
+    stiffness: Array
+    damping: Array
+    smoothing: float
+
+    def __post_init__(self) -> None:
+        for key in ("stiffness", "damping"):
+            value = frozen_array(getattr(self, key), 2, key)
+            object.__setattr__(self, key, value)
+            if value.shape != self.stiffness.shape or not np.all(np.isfinite(value)):
+                raise ConfigError(f"{key} of a feedback law is no matrix of finite numbers like its stiffness")
+        if not 0 <= self.smoothing < np.inf:
+            raise ConfigError(f"the smoothing of a feedback law is {self.smoothing:g} s, expected at least 0")
+
+    def told(self) -> str:
+        """Its size."""
+        return f" from {self.stiffness.shape[1]} joints to {self.stiffness.shape[0]} commands"
+
+
 @runtime_checkable
 class Reference(Protocol):
     """Where the joints should be."""

@@ -33,7 +33,11 @@ hypothesis.settings.register_profile(
 hypothesis.settings.load_profile("repeatable")
 
 
-LONG = ("test_readme", "test_diagnosis", "test_mjcf_diagnosis", "test_confounding", "test_prove_mjcf", "test_autotune")
+LONG = (
+    "test_readme", "test_mjcf_diagnosis", "test_fuzz", "test_coupled_joints", "test_experiment_runs",
+    "test_diagnosis_budget", "test_plant_tuning", "test_prescribed_diagnosis", "test_autotune_cluster",
+    "test_prove_shards", "test_benchmarks", "test_diagnosis", "test_mjcf_muscles", "test_diagnosis_units",
+)  # fmt: skip
 """Files begun early, the longest first, for whoever runs the last of them runs it alone."""
 
 

@@ -87,6 +87,7 @@ def test_it_runs(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert len(done.run.time) == 60 and done.run.truth is not None
 
 
+@pytest.mark.slow
 def test_it_is_compared(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     words = ["compare", "nod", *OWN, "-c", "leaning", "-c", "open_loop", "--condition", "nominal"]
     found = told(capsys, *words, "--set", "duration=1", *QUIET)
@@ -140,6 +141,7 @@ def test_the_effect_is_drawn_by_the_proof_on_legs() -> None:
     assert [Legs(1, 1.0).draw(3, case, "single").effects for case in range(5)] == before
 
 
+@pytest.mark.long
 @pytest.mark.slow
 def test_the_effect_is_put_to_the_proof_on_a_pendulum(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     xml, runs = written(folder, 0.15, count=3, seconds=4.0)

@@ -191,6 +191,7 @@ def test_it_holds_any_robot_as_it_comes(robot: Robot) -> None:
     np.testing.assert_allclose(done.score.step.offset, 0.0, atol=1e-3)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("robot", [RIG, SERVO], ids=lambda robot: robot.name)
 def test_it_follows_a_path_and_takes_up_what_its_model_lacks(robot: Robot) -> None:
     link = robot.places()["link"][-1]
@@ -212,6 +213,7 @@ def test_its_first_command_is_the_one_in_force() -> None:
     np.testing.assert_allclose(done.command[0], [0.4, -0.3], atol=1e-9)
 
 
+@pytest.mark.slow
 def test_a_limit_of_force_winds_nothing_up() -> None:
     weak = MjcfRobot("weak", pendulum('damping="0.4"', drive='<motor name="motor" joint="pivot" ctrlrange="-2 2"/>'))
     plant = MujocoPlant(Model(weak))
@@ -261,6 +263,7 @@ def test_placed_gains_are_slower_where_drives_are_late() -> None:
     assert found[0] > 2 * found[1] > 2 * found[2]
 
 
+@pytest.mark.slow
 def test_late_sensors_are_reckoned_with() -> None:
     late = Model(HINGES, tuple(SensorDelay(joint, 0.05) for joint in HINGES.joint_names))
     plant, dynamics = MujocoPlant(late), Dynamics(late)

@@ -305,7 +305,7 @@ def test_what_the_nearest_lacked_is_told() -> None:
         best_feasible(history)
     said = str(caught.value)
     assert said.startswith("none of 2 sets of gains is stable and within the limits on every leg; the nearest ")
-    for part in ("overshoots by 12%", "saturated 45% of the time", "0.9981", "1.0023 with the gain margin"):
+    for part in ("overshoots by 12 %", "saturated 45 % of the time", "0.9981", "1.0023 with the gain margin"):
         assert part in said
     with pytest.raises(NothingFeasible, match="stopped before any sets of gains were tried"):
         best_feasible([])
@@ -315,7 +315,7 @@ def test_a_result_that_only_failed_verification_is_told_apart() -> None:
     fine = Evaluation(1.0, {}, (), 0.01, 0.0, 0.99, 0.995, True, True)
     with pytest.raises(NothingFeasible) as caught:
         best_feasible([trial(0, fine)], lambda t: False)
-    assert "within the limits on every leg; the nearest overshoots by 1%" not in str(caught.value)
+    assert "within the limits on every leg; the nearest overshoots by 1 %" not in str(caught.value)
 
 
 def test_verification_looks_along_the_whole_way() -> None:

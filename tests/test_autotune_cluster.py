@@ -21,7 +21,13 @@ def test_one_place_is_said() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("controller", ["pid", "leaning"], ids=["in a compiled loop", "of a plugin, on the plant"])
+@pytest.mark.parametrize(
+    "controller",
+    [
+        pytest.param("pid", id="in a compiled loop"),
+        pytest.param("leaning", id="of a plugin, on the plant", marks=pytest.mark.long),
+    ],
+)
 def test_a_cluster_gives_the_same_settings_to_the_bit(controller: str, tmp_path: Path) -> None:
     distributed = pytest.importorskip("distributed")
     options: dict[str, Any] = {"candidates": 6, "scenarios": ["hold"]}

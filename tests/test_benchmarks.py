@@ -78,6 +78,7 @@ def test_mutants_are_given_to_tests_of_their_module_and_of_what_it_is_for() -> N
     assert importers.files("effects/command.py", 3)[0] == "test_command_laws.py"
 
 
+@pytest.mark.long
 @pytest.mark.slow
 def test_a_case_is_diagnosed_with_other_thresholds_where_decisions_fall_otherwise(tmp_path: Path) -> None:
     own = runpy.run_path(str(ROOT / "benchmarks" / "thresholds.py"))

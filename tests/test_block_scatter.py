@@ -59,6 +59,7 @@ def best_of_many(rng: np.random.Generator, residual: Array) -> tuple[BlockScatte
     return block_scatter([TIME], simple, rich, BLOCKS), gain
 
 
+@pytest.mark.slow
 def test_what_gains_on_what_laws_leave_does_not_stand_out_from_it() -> None:
     """Residuals of twice the noise that last: nearly every search over them gains more than noise ever would."""
     least = chi2.isf(Thresholds().significance / COLUMNS, 1)

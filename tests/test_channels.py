@@ -155,6 +155,7 @@ ALSO = [
 ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("also", "channels", "noise"), ALSO, ids=[str(own[0]) for own in ALSO])
 def test_intervals_are_as_narrow_as_information_theory_says(
     also: list[str], channels: list[int], noise: list[float]

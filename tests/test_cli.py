@@ -85,6 +85,8 @@ def test_every_verb_has_help_with_examples(path: tuple[str, ...], option: str, r
     assert code == 0 and err == ""
     assert f"equimus-ctrl {' '.join(path)}" in out and "Examples" in out
     assert "[bold]" not in out and "\x08" not in out
+    for paragraph in (VERBS[path].help or "").split("\n\n"):
+        assert "\n" not in paragraph or paragraph.lstrip().startswith("\b"), "lines end where the source's do"
     for parameter in VERBS[path].params:
         names = [name for name in getattr(parameter, "opts", []) if name.startswith("--")]
         assert all(name in out for name in names)

@@ -333,6 +333,7 @@ def test_a_reference_that_leaves_the_joint_range_is_told_before_the_run() -> Non
         build_scenario(build, ScenarioContext(eq.nominal_leg()))
 
 
+@pytest.mark.slow
 def test_the_command_writes_prints_and_tells(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

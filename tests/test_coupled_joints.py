@@ -191,7 +191,13 @@ def test_in_the_torque_domain_it_is_the_force_that_is_missing(effect: Effect, te
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("effect", "tendon"), CASES, ids=NAMES)
+@pytest.mark.parametrize(
+    ("effect", "tendon"),
+    [
+        pytest.param(*case, id=name, marks=[pytest.mark.long] if k else [])
+        for k, (case, name) in enumerate(zip(CASES, NAMES, strict=True))
+    ],
+)
 def test_a_diagnosis_names_it_with_its_size(effect: Effect, tendon: str) -> None:
     """Recordings by MuJoCo alone."""
     found = workflow.diagnose(recorded_alone(4, 3, tendons=tendon), Model(ARM_OF_HINGES), most=1)

@@ -45,6 +45,7 @@ def design(seed: int = 0) -> Designed:
     )  # fmt: skip
 
 
+@pytest.mark.slow
 def test_a_design_decides_between_two_frictions() -> None:
     found = design()
     (pair,) = found.pairs

@@ -134,6 +134,7 @@ def test_a_search_goes_on_once_after_an_effect_was_rejected(monkeypatch: pytest.
     assert reasons == {f"{kind}_friction:knee rejected": "said so" for kind in ("coulomb", "stribeck")}
 
 
+@pytest.mark.slow
 def test_what_holds_of_the_trials_fitted_but_of_no_leg_for_those_held_out_is_unexplained() -> None:
     model = nominal_model()
     changed = recordings((parse("payload_mass:foot:mass=0.3"),))

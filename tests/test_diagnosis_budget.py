@@ -82,7 +82,7 @@ def test_what_is_carried_out_lacks_nothing(whole: tuple[Diagnosis, int]) -> None
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("share", [0.2, 0.5, 0.8])
+@pytest.mark.parametrize("share", [0.2, *(pytest.param(share, marks=pytest.mark.long) for share in (0.5, 0.8))])
 def test_the_best_so_far_is_given_with_what_was_not_looked_at(
     parts: Split, whole: tuple[Diagnosis, int], share: float
 ) -> None:
@@ -101,6 +101,7 @@ def test_the_best_so_far_is_given_with_what_was_not_looked_at(
     assert ended(parts, int(share * steps)).to_dict() | {"seconds": 0} == record | {"seconds": 0}
 
 
+@pytest.mark.long
 @pytest.mark.slow
 def test_a_search_that_had_found_something_names_it(parts: Split, whole: tuple[Diagnosis, int]) -> None:
     full, steps = whole

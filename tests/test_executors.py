@@ -235,19 +235,22 @@ def test_what_is_done_is_not_done_again_where_its_worker_is_lost(cluster: Any, t
     assert [len(list(tmp_path.glob(f"{k}-*"))) for k in had] == [1] * 4
 
 
-def kills_its_worker(index: int) -> int:
+def kills_its_worker(index: int, folder: Path) -> int:
+    """The first one does; the others are beside it until it has done so four times."""
     if index == 0:
+        (folder / str(os.getpid())).touch()
         os.kill(os.getppid(), signal.SIGKILL)
         time.sleep(600)
+    within(60, lambda: len(list(folder.iterdir())) >= 4)
     return index
 
 
 @pytest.mark.slow
-def test_what_takes_every_worker_with_it_is_left_out() -> None:
+def test_what_takes_every_worker_with_it_is_left_out_and_nothing_else(tmp_path: Path) -> None:
     distributed = pytest.importorskip("distributed")
-    own = distributed.LocalCluster(n_workers=2, threads_per_worker=1, processes=True, dashboard_address=":0")
+    own = distributed.LocalCluster(n_workers=1, threads_per_worker=3, processes=True, dashboard_address=":0")
     with own, Where(scheduler=own.scheduler_address).opened() as pool:
-        done = dict(pool.each_apart(kills_its_worker, [(k,) for k in range(3)]))
+        done = dict(pool.each_apart(kills_its_worker, [(k, tmp_path) for k in range(3)]))
     assert str(done[0]) == "took 4 workers with it, one after the other"
     assert (done[1], done[2]) == (1, 2)
 

@@ -119,7 +119,7 @@ def test_nothing_to_tell_apart_is_worth_no_trial() -> None:
 def test_reasons_name_the_pair_that_is_surest() -> None:
     pairs = [predicted(chance=0.6, other="c"), predicted(repeats=2.0), predicted(chance=0.1, other="d")]
     said = why(pairs)
-    assert said.startswith("it distinguishes a from b by an expected gap of 50 (30 to 80)") and "chance of 90%" in said
+    assert said.startswith("it distinguishes a from b by an expected gap of 50 (30 to 80)") and "chance of 90 %" in said
     assert "2 such trials" in said and "of 2 other pairs 1 more likely than not" in said
     assert "60 of them would be needed" in why_not([predicted(chance=0.01, repeats=60.0)])
     assert Predicted.from_dict(json.loads(json.dumps(predicted(repeats=math.inf).to_dict()))).repeats == math.inf

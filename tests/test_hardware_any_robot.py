@@ -214,6 +214,7 @@ def emulated(drive: str, monkeypatch: pytest.MonkeyPatch) -> tuple[Emulator, Dev
     return emulator, device
 
 
+@pytest.mark.slow
 def test_an_emulated_motor_lets_go_where_commands_end(monkeypatch: pytest.MonkeyPatch) -> None:
     emulator, device = emulated(MOTOR, monkeypatch)
     assert emulator.rate == 125.0 and (emulator.seen.highest, emulator.seen.watchdog) == ([0.5], 1)

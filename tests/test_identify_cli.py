@@ -88,6 +88,7 @@ FREE = ("--free", "maa.stiffness", "--free", "baa.area", "--free", "baa.rest_len
 # What goes well.
 
 
+@pytest.mark.slow
 def test_identify_then_score(ran: Any, data: Path, tmp_path: Path) -> None:
     """The model written is taken by the other verbs, and predicts better."""
     code, out, err = ran(

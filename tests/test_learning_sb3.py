@@ -47,6 +47,7 @@ def test_many_go_as_each_alone() -> None:
     assert ends >= n
 
 
+@pytest.mark.slow
 def test_ppo_learns_on_it() -> None:
     """A short while on two robots, through the usual wrappers; with the same seed the same policy."""
 

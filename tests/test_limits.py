@@ -52,6 +52,16 @@ def test_a_robots_own_limits_are_the_default() -> None:
     assert (bounds.low[0], bounds.high[0], bounds.rate[0], bounds.before) == (-1.0, 2.0, 5.0, 0.5)
 
 
+def test_a_hinge_without_a_range_goes_one_turn_unless_a_user_says_more() -> None:
+    free = MjcfRobot("free", pendulum())
+    assert np.isinf(free.joint_range).all()
+    own = Limits.of(free)
+    assert own.joint_low.tolist() == [-2 * np.pi] and own.joint_high.tolist() == [2 * np.pi]
+    turned = np.linspace(0, 7, 20)[:, None]
+    assert own.excess(still(own, turned)).left
+    assert not Limits.read(free, options={"pivot.high": "10"}).excess(still(own, turned)).left
+
+
 def test_the_file_of_the_documentation_is_read_and_options_come_before_it() -> None:
     text = DOC.read_text(encoding="utf-8").split("equimus-ctrl/limits/1")[1].split("```")[0]
     data = presets.tomllib.loads('format = "equimus-ctrl/limits/1' + text)

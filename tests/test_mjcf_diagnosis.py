@@ -85,6 +85,7 @@ def test_friction_of_a_hinge_is_found_with_its_size_and_told_whole(tmp_path: Pat
     assert "Dry friction at the hinge of" in text and "kPa" not in text
 
 
+@pytest.mark.long
 @pytest.mark.slow
 def test_two_kinds_of_friction_of_one_joint_are_told_by_their_names() -> None:
     """A push over the speed could stand for both, and dry friction with more at rest for the dry one."""
@@ -155,6 +156,7 @@ def stepped(dt: float) -> MjcfRobot:
     return MjcfRobot("robot", PENDULUM.format(drive=MOTOR).replace('timestep="0.002"', f'timestep="{dt}"'))
 
 
+@pytest.mark.long
 @pytest.mark.slow
 def test_the_error_of_a_long_step_is_taken_for_no_physics() -> None:
     fine, coarse = stepped(0.00002), stepped(0.01)
@@ -169,6 +171,7 @@ def test_the_error_of_a_long_step_is_taken_for_no_physics() -> None:
     assert found.rmse("corrected", "validation")[0] < 1.2 * NOISE
 
 
+@pytest.mark.long
 @pytest.mark.slow
 def test_what_a_finer_step_fits_far_worse_stays_named() -> None:
     """Without the step, which is half a step early, no delay is needed, and none would be early enough."""
@@ -180,6 +183,7 @@ def test_what_a_finer_step_fits_far_worse_stays_named() -> None:
     assert found.rmse("corrected", "validation")[0] < 1.2 * NOISE
 
 
+@pytest.mark.long
 @pytest.mark.slow
 def test_what_fits_as_well_is_told_after_a_finer_step_too() -> None:
     """A tilt and a sensor's offset do the same to a pendulum, whatever step that was found with; so may others."""

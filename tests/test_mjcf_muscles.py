@@ -152,6 +152,7 @@ def test_score_tells_the_friction_that_a_muscled_arm_lacks() -> None:
     assert errors[1] > 5 * errors[0]
 
 
+@pytest.mark.long
 @pytest.mark.slow
 def test_a_diagnosis_of_a_muscled_arm_names_the_friction() -> None:
     found = workflow.diagnose(recorded(0.15), Model(ROBOT), most=1, threads=1)

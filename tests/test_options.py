@@ -32,6 +32,7 @@ from equimus_ctrl.cli.options import filled
 from equimus_ctrl.diagnosis.policy import SearchSettings
 from equimus_ctrl.errors import ConfigError, EquimusError
 from equimus_ctrl.options import (
+    EXCITATIONS,
     KINDS,
     AutotuneOptions,
     CheckOptions,
@@ -52,6 +53,7 @@ from equimus_ctrl.options import (
 )
 from equimus_ctrl.proof.designs import DURATION, TRIALS
 from equimus_ctrl.proof.drawing import Kind
+from equimus_ctrl.proof.legs import Excitation
 from equimus_ctrl.workflow import proofs, validations
 
 VERBS: dict[str, tuple[Any, type[Any], Any, str, list[str]]] = {
@@ -94,6 +96,8 @@ EXAMPLES: dict[str, tuple[str, Any]] = {
     "force": ("--force", True),
     "envs": ("--envs 8", 8),
     "evaluations": ("--evaluations 50", 50),
+    "excitation": ("--excitation poor", "poor"),
+    "experiments": ("--experiments 2", 2),
     "exclude": ("--exclude creep --exclude hysteresis", ["creep", "hysteresis"]),
     "family": ("--family steps --family hold", ["steps", "hold"]),
     "fit_start": ("--no-fit-start", False),
@@ -239,6 +243,7 @@ def test_defaults_that_other_modules_have_too_are_the_same() -> None:
     assert get_args(Kind) == KINDS
     assert f"{TRIALS} by default" in offered(ProveOptions)["trials"].help
     assert f"{DURATION:g} by default" in offered(ProveOptions)["duration"].help
+    assert get_args(Excitation) == EXCITATIONS
 
 
 @pytest.mark.parametrize(
@@ -276,6 +281,10 @@ def test_defaults_that_other_modules_have_too_are_the_same() -> None:
         (ProveOptions, {"duration": 1.9}, "duration is 1.9 s, expected at least 2 s"),
         (ProveOptions, {"duration": float("nan")}, "duration is nan s, expected at least 2 s"),
         (ProveOptions, {"workers": 0}, "workers is 0, expected at least 1"),
+        (ProveOptions, {"experiments": -1}, "experiments is -1, expected at least 0"),
+        (ProveOptions, {"experiments": 100}, "experiments is 100, expected at most 99"),
+        (ProveOptions, {"evaluations": 0}, "evaluations is 0, expected at least 1"),
+        (ProveOptions, {"excitation": "por"}, "there is no excitation 'por'; did you mean 'poor'?"),
     ],
 )
 def test_values_that_cannot_be_are_refused(kind: type[Any], changes: dict[str, Any], sentence: str) -> None:

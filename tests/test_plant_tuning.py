@@ -122,6 +122,7 @@ def test_on_a_hardest_robot_a_candidate_may_cost_a_fifth_more_than_the_first(pro
     assert three.kept_on_hardest(beaten, first) is beaten
 
 
+@pytest.mark.slow
 def test_what_a_servo_overshoots_by_itself_is_no_candidate_s_doing() -> None:
     """A servo without friction of damping ratio ζ goes exp(−πζ/√(1 − ζ²)) beyond; one that is damped goes nowhere."""
     servo = """<mujoco><option timestep="0.002" gravity="0 0 0"/><worldbody><body><joint name="slide" type="slide" axis="1 0 0"
@@ -187,6 +188,7 @@ def test_the_leg_has_its_own_study() -> None:
     assert study_for("lqr", Model(ARM)).name == "any.toml"
 
 
+@pytest.mark.slow
 def test_a_study_may_say_that_the_hardest_robots_only_have_to_keep_the_limits() -> None:
     for counts, hardest in ((True, 0), (False, 1)):
         study = quick()
@@ -283,7 +285,9 @@ SHORT = {
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("controller", "study"), [("lqr", "lqr.toml"), ("nmpc", "leg.toml")])
+@pytest.mark.parametrize(
+    ("controller", "study"), [("lqr", "lqr.toml"), pytest.param("nmpc", "leg.toml", marks=pytest.mark.long)]
+)
 def test_regulators_of_the_leg_are_tuned_from_the_study_to_the_file(
     controller: str, study: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -102,6 +102,7 @@ def flown(rng: np.random.Generator, name: str) -> Recording:
     return Recording(name, times, torque, shown, ("motor",), (*COLUMNS, "swing"), notes=notes)
 
 
+@pytest.mark.long
 @pytest.mark.slow
 def test_friction_at_a_limb_of_a_free_base_is_found(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     rng = np.random.default_rng(2)

@@ -16,7 +16,8 @@ from equimus_ctrl.proof.estimates import measure_of
 from equimus_ctrl.proof.scoring import Score
 from equimus_ctrl.proof.shares import Share
 from equimus_ctrl.proof.tally import CONSISTENT, NOTHING, UNEXPLAINED, confusion
-from equimus_ctrl.report.proof_figures import save_proof_figures
+from equimus_ctrl.report import style
+from equimus_ctrl.report.proof_figures import proof_drawings
 from equimus_ctrl.report.proof_tables import markdown, sheets
 from equimus_ctrl.robots.elastic.leg import nominal_leg
 
@@ -348,6 +349,6 @@ def test_the_score_is_plain_json_and_lists_what_went_wrong() -> None:
 @pytest.mark.parametrize("full", [True, False])
 def test_figures_are_drawn_of_much_and_of_nothing(full: bool, tmp_path: Path) -> None:
     found = mixture() if full else scored((truth("none"), report()))
-    files = save_proof_figures(found, tmp_path)
+    files = style.save_all(proof_drawings(found), tmp_path)
     assert {file.stem for file in files} == {"confusion", "power", "false_alarms", "parameters", "coverage", "heldout"}
     assert all(file.stat().st_size > 5000 for file in files)

@@ -131,6 +131,7 @@ def test_a_free_length_is_found_from_the_spring_without_one() -> None:
     assert fitted.deviance - found.deviance > 1e3
 
 
+@pytest.mark.slow
 def test_the_torque_domain_finds_both_ends_of_a_spring() -> None:
     """No law that is linear in its size explains it, and all parameters of a spring are fitted then."""
     data, simple, rich = observed()

@@ -302,6 +302,7 @@ def test_a_joint_that_is_not_measured_is_a_fault_after_a_while() -> None:
 # --- runs ---------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_it_balances_and_gives_the_same_bits() -> None:
     one, two, other = balanced(CARTPOLE), balanced(CARTPOLE), balanced(CARTPOLE, seed=1)
     assert np.array_equal(one.asked, two.asked) and not np.array_equal(one.asked, other.asked)
@@ -454,6 +455,7 @@ def test_one_file_is_for_every_robot_and_what_plans_are_follows_from_it(
     assert state.note.startswith(f"sampling.toml: {name} left aside")
 
 
+@pytest.mark.slow
 def test_a_robot_that_can_follow_a_path_is_left_no_offset_by_masses_that_nobody_told_of() -> None:
     heavy = Model(RIG, (PayloadMass("rod", 0.3),))
     plant = MujocoPlant(heavy, nominal=Model(RIG))

@@ -182,6 +182,7 @@ def test_a_search_whose_time_is_up_keeps_what_it_has() -> None:
     assert len(search.history) == 7 and search.timed_out
 
 
+@pytest.mark.slow
 def test_a_controller_of_a_plugin_is_tuned_and_run_takes_what_was_found(
     folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

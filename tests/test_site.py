@@ -190,3 +190,20 @@ def test_version_of_the_citation_is_the_packages() -> None:
     said = yaml.safe_load((ROOT / "CITATION.cff").read_text(encoding="utf-8"))
     assert said["version"] == equimus_ctrl.__version__.removesuffix(".dev0")
     assert {"cff-version", "message", "title", "authors", "license"} <= set(said)
+
+
+def test_code_within_a_line_stays_in_one_piece_or_breaks_at_its_joints() -> None:
+    unbroken = tool("markup").unbroken
+    assert unbroken("<p>(<code>--free</code>)</p>") == '<p>(<code class="short">--free</code>)</p>'
+    long = "controllers/&lt;controller&gt;_&lt;robot&gt;.toml"
+    found = unbroken(f"<td><code>{long}</code></td>")
+    assert "<wbr>" in found and found.replace("<wbr>", "") == f"<td><code>{long}</code></td>"
+    block = '<div class="highlight"><pre><span></span><code>u = w + c\n</code></pre></div>'
+    assert unbroken(block) == block
+
+
+def test_a_figure_of_a_page_opens_in_its_full_size() -> None:
+    opened = tool("markup").opened
+    assert opened('<p><img alt="a" src="images/a.png" /></p>').startswith('<p><a href="images/a.png"><img alt="a"')
+    inline = '<p><img src="data:image/png;base64,AA"></p>'
+    assert opened(inline) == inline

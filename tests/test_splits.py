@@ -237,6 +237,7 @@ def test_a_split_that_cannot_be_diagnosed_is_told_and_the_others_go_on(diagnosis
     assert splits is not None and len(splits.answers) == 1
 
 
+@pytest.mark.long
 @pytest.mark.slow
 def test_every_split_names_the_friction_of_a_pendulum() -> None:
     docs = ROOT.parent / "docs" / "examples"

@@ -270,12 +270,14 @@ def test_a_lag_that_is_known_costs_little() -> None:
     assert tracked(slow, nmpc(), heavy) < 0.2 * tracked(slow, "pid", heavy)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("robot", [ARM, SERVO], ids=lambda robot: robot.name)
 def test_a_delay_that_nobody_told_of_is_borne(robot: MjcfRobot) -> None:
     late = tuple(TransportDelay(name, 0.02) for name in robot.actuator_names)
     assert tracked(robot, "lqr", *late) < 1.6 * tracked(robot, "pid", *late)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("robot", [ARM, SERVO, RIG], ids=lambda robot: robot.name)
 def test_a_load_that_nobody_told_of_leaves_no_offset(robot: MjcfRobot) -> None:
     heavy, pose = (PayloadMass(robot.places()["link"][-1], 0.2),), {robot.joint_names[0]: "30", "duration": "4"}

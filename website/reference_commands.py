@@ -81,4 +81,5 @@ def _row(parameter: Any, context: Any) -> str:
 
 def _escaped(text: str) -> str:
     """Text of a terminal as Markdown: what would be read as emphasis or HTML is not."""
-    return re.sub(r"([*_<>])", r"\\\1", " ".join(text.split()).replace("`", "'"))
+    text = " ".join(text.split()).replace("`", "'").replace("<", "&lt;").replace(">", "&gt;")
+    return re.sub(r"([*_])", r"\\\1", text)

@@ -16,11 +16,11 @@ def page() -> str:
     ]
     for title, listed in (("Diagnosis", Thresholds.listed()), ("Check of recordings", CheckLimits.listed())):
         rows = [
-            f"| `{t.name}` | {f'{t.value:g} {t.unit}'.rstrip()} | {_cell(t.meaning)} | "
+            f"| `{t.name}`<br>{f'{t.value:g} {t.unit}'.rstrip()} | {_cell(t.meaning)} | "
             f"{_cell(f'{t.origin.basis}: {t.origin.why}')} |"
             for t in listed
         ]
-        parts += [f"## {title}", "\n".join(["| name | value | meaning | origin |", "| --- | --- | --- | --- |", *rows])]
+        parts += [f"## {title}", "\n".join(["| name, value | meaning | origin |", "| --- | --- | --- |", *rows])]
     return "\n\n".join(parts) + "\n"
 
 

@@ -66,7 +66,9 @@ else:
         axis.plot(trial.time, np.degrees(trial.position[:, k]), label="measured")
         axis.plot(trial.time, np.degrees(predicted[:, k]), label="model")
         axis.set(xlabel="time [s]", ylabel=f"{trial.joints[k]} [°]")
-    axes[0].legend()
+    figure.legend(
+        *axes[0].get_legend_handles_labels(), loc="outside upper center", ncols=2
+    )
 
 # %% [markdown]
 # The model follows, late and with other amplitudes. What it lacks are laws of the valves: a threshold below which they
@@ -99,7 +101,7 @@ eq.figure(found, "summary")
 # ## Drive with the augmented model
 #
 # The same PID leads the foot round a circle on the leg with the dead zone: once it computes with the initial model,
-# once with the augmented one.
+# once with the augmented one. Drawn and scored is the circle, without the way to it.
 
 # %%
 options = {"duration": "8"}
@@ -118,10 +120,11 @@ runs = {
 figure, axes = plt.subplots(1, 2, figsize=(9, 3), sharey=True, layout="constrained")
 for name, done in runs.items():
     print(f"{name}: RMSE {(1e3 * done.score.tracking.rmse).round(1)} mrad")
+    circle = done.run.time >= done.score.window[0]
     for k, axis in enumerate(axes):
         axis.plot(
-            done.run.time,
-            1e3 * (done.run.position - done.run.reference)[:, k],
+            done.run.time[circle],
+            1e3 * (done.run.position - done.run.reference)[circle, k],
             label=name,
         )
         axis.set(

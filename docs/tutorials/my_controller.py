@@ -134,7 +134,7 @@ shown(
 # %%
 checked = eq.testing.check_controller(Spring)
 print(*checked.kept, sep="\n")
-print("notes:", *checked.notes)
+print("notes:", *checked.notes, sep="\n- ")
 
 # %% [markdown]
 # ## Beside the PID
@@ -156,7 +156,7 @@ for entry in found.entries:
     print(f"{entry.condition:18s} {entry.controller:12s} {error} mrad")
 
 # %% [markdown]
-# Feedback halves what feed-forward leaves, and the PID is far ahead of both on the model it knows: it feeds forward the
+# Feedback lowers what feed-forward leaves, and the PID is far ahead of both on the model it knows: it feeds forward the
 # forces that the motion needs, not only those of rest, and its gains were tuned on an ensemble of perturbed legs. A
 # dead time that it does not know of costs it most of that lead.
 #

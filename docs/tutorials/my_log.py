@@ -101,6 +101,9 @@ print(
 )
 
 # %% [markdown]
+# The score is of all four recordings. The diagnosis's error above is smaller: it is of the held-out one, and what
+# MuJoCo's physics step does to simulated recordings is taken off it ([machines](../machines.md)).
+#
 # A controller that computes with the augmented model pushes against the friction it knows of. Both runs are on the
 # augmented model; the first controller knows the initial one, the second the augmented one.
 

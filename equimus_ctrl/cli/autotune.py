@@ -196,8 +196,8 @@ def _before_and_after(result: Any) -> Any:
     table.add_row("cost", start.told, best.told)
     for key, value in best.terms.items():
         table.add_row(f"  {key}", f"{start.terms[key]:.4f}", f"{value:.4f}")
-    table.add_row("largest overshoot", f"{start.overshoot:.1%}", f"{best.overshoot:.1%}")
-    table.add_row("largest share in saturation", f"{start.saturation:.1%}", f"{best.saturation:.1%}")
+    table.add_row("largest overshoot", f"{100 * start.overshoot:.1f} %", f"{100 * best.overshoot:.1f} %")
+    table.add_row("largest share in saturation", f"{100 * start.saturation:.1f} %", f"{100 * best.saturation:.1f} %")
     unseen = len(result.unseen)
     if unseen:
         from equimus_ctrl.tuning.result import summed

@@ -1,4 +1,4 @@
-"""Help in which a flag looks like a flag: it takes no value, so none is named."""
+"""Help for people: a flag takes no value, so none is named, and the value of an option is not a type of Python."""
 
 from __future__ import annotations
 
@@ -10,19 +10,37 @@ if TYPE_CHECKING:
     from typing import Any
 
 
-def _bare(parameters: list[Any]) -> list[Any]:
+VALUES = {"str": "TEXT", "int": "INTEGER", "float": "NUMBER", "path": "PATH"}
+"""Type of an option's value, or of each of several → its name in help."""
+
+
+def _bare(parameters: list[Any], ctx: Any) -> list[Any]:
     for own in parameters:
-        if getattr(own, "is_flag", False) and own.metavar is None:
-            own.metavar = ""
+        if own.metavar is None and own.param_type_name == "option":
+            if getattr(own, "is_flag", False):
+                own.metavar = ""
+            else:
+                kind = own.display_type(ctx).strip("<>").lower().removeprefix("list[").removesuffix("]")
+                own.metavar = VALUES.get(kind)
     return parameters
+
+
+def _flowing(text: str) -> str:
+    r"""Paragraphs without the ends of lines that they have in the source; those of examples, after a \b, stay."""
+    parts = text.split("\n\n")
+    return "\n\n".join(part if part.lstrip().startswith("\b") else " ".join(part.split()) for part in parts)
 
 
 class Command(TyperCommand):
     """A verb."""
 
+    def __init__(self, *args: Any, **options: Any) -> None:
+        super().__init__(*args, **options)
+        self.help = _flowing(self.help) if self.help else self.help
+
     def get_params(self, ctx: Any) -> list[Any]:
         """Its parameters, ``--help`` among them."""
-        return _bare(super().get_params(ctx))
+        return _bare(super().get_params(ctx), ctx)
 
 
 class Group(TyperGroup):
@@ -30,4 +48,4 @@ class Group(TyperGroup):
 
     def get_params(self, ctx: Any) -> list[Any]:
         """Its parameters, ``--help`` among them."""
-        return _bare(super().get_params(ctx))
+        return _bare(super().get_params(ctx), ctx)

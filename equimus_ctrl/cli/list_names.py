@@ -93,7 +93,11 @@ def _print(found: Listing) -> None:
             if row.get("group") != group:
                 continue
             extra = row.get("options") or row.get("parameters") or {}
-            detail = ", ".join(f"{key} = {own}" if "options" in row else own for key, own in extra.items())
+            if "options" in row:
+                said = [f"{key} = {own}" if own != "" else key for key, own in extra.items()]
+            else:
+                said = list(extra.values())
+            detail = ", ".join(said)
             summary = escape(str(row["summary"])) + (f"\n[dim]{escape(detail)}[/dim]" if detail else "")
             table.add_row(f"[bold]{row['name']}[/bold]", summary)
         if group is not None:

@@ -57,6 +57,10 @@ def prove(
     With --model the robots are like yours, driven by the commands of your recordings: the score says what a
     diagnosis of such an experiment can find. Recorded torques are mostly a controller's: --track gives each robot one.
 
+    With --experiments trials are designed for each robot from what its diagnosis leaves, made with it, and all are
+    diagnosed again: how often that resolves what recordings did not, and whether predictions come true. The first
+    recordings are two small chirps of 6 s then; with --model your recordings, or such chirps where you give none.
+
     \b
     [bold]Examples[/bold]
     equimus-ctrl prove --cases 8
@@ -64,6 +68,8 @@ def prove(
     equimus-ctrl prove --cases 1000 --seed 7 --output proof_7 --json
     equimus-ctrl prove docs/examples/pendulum --model docs/examples/pendulum.xml --cases 20
     equimus-ctrl prove arm_runs --model arm.xml --track 2
+    equimus-ctrl prove --cases 60 --experiments 2
+    equimus-ctrl prove --model docs/examples/pendulum.xml --experiments 2 --limit motor.low=-2 --limit motor.high=2
     equimus-ctrl prove --cases 10000 --scheduler tcp://head:8786
     equimus-ctrl prove --cases 10000 --slurm jobs.toml
     equimus-ctrl prove --cases 1000 --shard 2/5 --output shard_2
@@ -75,8 +81,9 @@ def prove(
     from equimus_ctrl.workflow.models import load_model
     from equimus_ctrl.workflow.proofs import experiment_of
 
-    experiment = experiment_of(recordings or (), None if model is None else load_model(model), options.track)
+    experiment = experiment_of(recordings or (), None if model is None else load_model(model), options)
     kind = f"_{options.kind}" if options.kind else ""
+    kind += f"_{options.excites}" if options.excites != "rich" else ""
     name = f"seed_{options.seed}{kind}" + (f"_{experiment.model.name}" if experiment else "")
     folder = output or presets.workspace() / "proof" / "results" / name
     presets.check_folder(folder)
@@ -91,9 +98,11 @@ def prove(
             from equimus_ctrl.workflow.proof_shards import shard_name
             from equimus_ctrl.workflow.proofs import STAGES, prove
 
-            tasks = {stage: progress.add_task(stage, total=options.cases, start=False) for stage in STAGES}
+            tasks = {stage: progress.add_task(stage, total=options.cases, start=False) for stage in STAGES[:-1]}
 
             def notify(stage: str, done: int, total: int) -> None:
+                if stage not in tasks:
+                    tasks[stage] = progress.add_task(stage, total=total, start=False)
                 if not progress.tasks[tasks[stage]].started:
                     progress.start_task(tasks[stage])
                 progress.update(tasks[stage], completed=done, total=total)
@@ -114,18 +123,21 @@ def prove(
     name = shard_name("score", options.shard)
     record, files = found.to_dict(), [folder / f"{name}.json", folder / f"{name}.md"]
     presets.write_text(files[0], presets.json_text(record))
+    from equimus_ctrl.report.proof_experiments import experiment_sheets
     from equimus_ctrl.report.proof_tables import markdown
 
-    presets.write_text(files[1], markdown(_head(found), found.score))
+    first = experiment_sheets(found.experiments) if found.experiments else ()
+    presets.write_text(files[1], markdown(_head(found), found.score, first))
     if figures and options.shard is None:
-        from equimus_ctrl.report.proof_figures import save_proof_figures
+        from equimus_ctrl.report import style
+        from equimus_ctrl.workflow.figures import drawings
 
-        files += save_proof_figures(found.score, folder)
+        files += style.save_all(drawings(found), folder)
     _print(console, found)
     print_files(console, files)
     if as_json:
         print_json({**record, "files": [str(file) for file in files]})
-    if not found.score.accurate and options.shard is None:
+    if not found.accurate and options.shard is None:
         raise typer.Exit(3)
 
 
@@ -138,19 +150,22 @@ def _head(found: Proof) -> dict[str, str]:
         "cases": f"{len(found.score.cases)}, {'drawn from all kinds' if r.kind is None else f'all of kind {r.kind}'}",
         "recordings": f"{r.trials} trials of {'up to ' if r.experiment else ''}{r.duration:g} s each",
         "SHA-256 of all seals": f"`{found.seal}`",
+        **({"SHA-256 of all answers": f"`{found.experiments.answers}`"} if found.experiments else {}),
         **({"note": "; ".join(found.notes)} if found.notes else {}),
     }
 
 
 def _print(console: Console, found: Proof) -> None:
+    from equimus_ctrl.report.proof_experiments import experiment_sheets
     from equimus_ctrl.report.proof_tables import goals_sheet, strength_sheet, wrong_sheet
 
-    for sheet in (goals_sheet(found.score), strength_sheet(found.score), wrong_sheet(found.score)):
+    own = (goals_sheet(found.score), strength_sheet(found.score), wrong_sheet(found.score))
+    for sheet in experiment_sheets(found.experiments) if found.experiments else own:
         if sheet.rows or sheet.note:
             console.print(sheet.rich(MOST_ROWS))
     for note in found.notes:
         console.print(note, style="yellow", markup=False)
-    goals = found.score.goals
+    goals = found.goals
     missed = [g for g in goals if g.state == "missed"]
     for goal in missed:
         judged = "" if goal.judged else " (not judged: it depends on the computer)"

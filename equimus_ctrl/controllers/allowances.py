@@ -130,7 +130,7 @@ class Allowances:
         short = (
             ""
             if self.catches
-            else (f"; the limits of commands let it catch less than {CAUGHT:.0%} of what could be caught within them")
+            else f"; limits of commands let it catch less than {100 * CAUGHT:.0f} % of what they let be caught"
         )
         return (
             "weights and observer follow from the masses and ranges for a bandwidth of "

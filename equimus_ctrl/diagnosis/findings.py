@@ -404,7 +404,7 @@ def notes(end: SearchState, split: Split, excluded: Sequence[str], not_done: Seq
     held = [f.label for f, side in zip(fit.parameters.free, fit.at_bound, strict=True) if side]
     if held:
         said.append(
-            f"{', '.join(held)} ended at a bound: they may compensate missing physics, or the bounds are too narrow."
+            f"{', '.join(held)} ended at a bound: this may compensate missing physics, or the bounds are too narrow."
         )
     if zeros := zeros_sentence(fit):
         said.append(zeros)

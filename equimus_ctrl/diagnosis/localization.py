@@ -97,7 +97,8 @@ def _densest(classes: Sequence[Class], squares: Sequence[Array]) -> str:
         density = part * np.log(max(part / samples, 1.0)) if part > 0 else 0.0
         if density > best and part / samples > DENSE:
             best = density
-            label = f"{c.text} ({min(part, 1.0):.0%} of the excess residual variance in {samples:.0%} of the samples)"
+            share = f"{100 * min(part, 1.0):.0f} % of the excess residual variance"
+            label = f"{c.text} ({share} in {100 * samples:.0f} % of the samples)"
     return label
 
 
@@ -181,6 +182,7 @@ def _regions(model: Model, segments: Sequence[Segment], j: int) -> list[Class]:
         edges = np.quantile(np.concatenate(values), np.linspace(0, 1, REGIONS + 1))
         for low, high in itertools.pairwise(edges):
             if high > low:
-                label = f"{text} of {low * shown.factor:.3g} to {high * shown.factor:.3g} {shown.unit}".rstrip()
+                first, last = (f"{shown.factor * end:.3g}".replace("-", "−") for end in (low, high))
+                label = f"{text} of {first} to {last}{'' if shown.unit == '°' else ' '}{shown.unit}".rstrip()
                 regions.append(Class(label, tuple((v >= low) & (v <= high) for v in values)))
     return regions

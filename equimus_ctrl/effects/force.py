@@ -442,7 +442,7 @@ class NarrowingArea(ForceEffect):
         area = t.one_or(f"The area of {t.at}", f"The areas of {t.at}")
         return (
             f"{area} {what}: near the rest length by {t['loss']} times the share of length gained, by "
-            f"{abs(1 - 1 / (1 + loss / 5)):.0%} at a fifth more."
+            f"{100 * abs(1 - 1 / (1 + loss / 5)):.0f} % at a fifth more."
         )
 
 

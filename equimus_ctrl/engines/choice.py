@@ -18,6 +18,8 @@ from equimus_ctrl.engines.batch import simulate
 from equimus_ctrl.engines.contacts import touching
 from equimus_ctrl.engines.mjcf import simulate_mjcf
 from equimus_ctrl.engines.mjcf_realised import stepped_laws
+from equimus_ctrl.engines.mjcf_tracked import Followed, simulate_tracked
+from equimus_ctrl.engines.mjcf_tracking import balanced, by_acceleration, fed_forward, law_at
 from equimus_ctrl.engines.mujoco_batch import FAST_SETTINGS
 from equimus_ctrl.engines.mujoco_trials import simulate_mujoco
 from equimus_ctrl.engines.step_choice import StepChoice, followed_step, noise_of
@@ -28,7 +30,7 @@ from equimus_ctrl.models.model import Model
 from equimus_ctrl.models.symbolic import build
 from equimus_ctrl.robots.mechanics import Structure
 from equimus_ctrl.robots.mjcf.robot import MjcfRobot, mjcf_of
-from equimus_ctrl.types import Array
+from equimus_ctrl.types import Array, FeedbackLaw
 
 STEP = 3e-3
 """Physics step of the reduced engine in fits [s], where the robot allows it: an error of 1e-5 rad, or 3e-5 rad with
@@ -157,6 +159,37 @@ class MujocoEngine(Engine):
         return simulate_mjcf(
             models, trials, starts=starts, dt=self.dt, threads=threads, hard_friction=self.hard_friction
         )
+
+    def tracked(
+        self,
+        models: Sequence[Model],
+        trial: Trial,
+        reference: Array,
+        law: FeedbackLaw,
+        starts: Array,
+        noise: Array | None = None,
+        threads: int | None = None,
+    ) -> Followed:
+        """Every model in its own closed loop, see ``mjcf_tracked.simulate_tracked``."""
+        return simulate_tracked(
+            models, trial, reference, law, starts=starts, noise=noise, threads=threads, dt=self.dt
+        )  # fmt: skip
+
+    def law_at(self, model: Model, pose: Array, frequency: float, period: float) -> FeedbackLaw:
+        """The law by which joints track references, see ``mjcf_tracking.law_at``."""
+        return law_at(model, pose, frequency, period)
+
+    def fed_forward(self, model: Model, times: Array, reference: Array) -> Array:
+        """(n, na) what is fed forward of a reference, see ``mjcf_tracking.fed_forward``."""
+        return fed_forward(model, times, reference)
+
+    def by_acceleration(self, model: Model, pose: Array) -> Array:
+        """(na, nj) commands by accelerations, see ``mjcf_tracking.by_acceleration``."""
+        return by_acceleration(model, pose)
+
+    def balanced(self, model: Model, reference: Array) -> Array:
+        """A reference in which joints without a drive are balanced, see ``mjcf_tracking.balanced``."""
+        return balanced(model, reference)
 
     def coarser(self) -> Engine:
         return replace(self, dt=MUJOCO_COARSER * self.discretisation.step)

@@ -34,6 +34,7 @@ from equimus_ctrl.engines import (
     lane_steps,
     mjcf_functions,
     mjcf_kernel,
+    mjcf_tracked_kernel,
 )
 from equimus_ctrl.models import (
     codegen,
@@ -98,6 +99,13 @@ def load_mjcf(laws: Laws) -> tuple[ModuleType, ModuleType]:
     """What is generated for laws at joints of MJCF robots, and the kernel (``engines.mjcf_kernel``) with it."""
     generated = _generated("mjcf_laws", _mjcf_source(laws), [])
     return generated, _led(mjcf_kernel, {mjcf_functions.__name__: generated})
+
+
+@lru_cache(maxsize=8)
+def load_mjcf_tracked(laws: Laws) -> ModuleType:
+    """The same of closed loops (``engines.mjcf_tracked_kernel``)."""
+    _, kernel = load_mjcf(laws)
+    return _led(mjcf_tracked_kernel, {mjcf_kernel.__name__: kernel})
 
 
 def prepared(model: Morphology, phase: Phase) -> Array:

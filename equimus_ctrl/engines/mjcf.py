@@ -163,7 +163,7 @@ def leader_of(own: Realised) -> Leader | None:
         nj = len(own.places)
         position, velocity = (values[:nj] for values in np.split(start, 2))
         rotors = np.array([(position[j], velocity[j]) for *_, j in own.rotors]).reshape(-1, 2)
-        return Hidden(rotors, act, _law_starts(own, trial, np.concatenate([position, velocity])))
+        return Hidden(rotors, act, law_starts(own, trial, np.concatenate([position, velocity])))
 
     return Leader(own, kernel, rows_of, begin)
 
@@ -206,7 +206,7 @@ def follow(
     if hidden is not None and not hidden.sound:
         out_q[:], out_v[:], whole[:] = np.nan, np.nan, np.nan
         return Course(trial.start, dt, out_q, out_v, ctrl, 0, whole if trial.forces else None)
-    states = _law_starts(own, trial, start[: 2 * nj]) if hidden is None else hidden.states.copy()
+    states = law_starts(own, trial, start[: 2 * nj]) if hidden is None else hidden.states.copy()
     data = scratch.data(model)
     model.dof_frictionloss[own.places[:, 1]] = own.loss
     put_joints(own, data, *begun)
@@ -243,7 +243,7 @@ def others_along(own: Realised, trial: Trial, times: Array) -> tuple[Array, Arra
     return np.column_stack([moved[0], beside[0]]), np.column_stack([moved[1], beside[1]])
 
 
-def _law_starts(own: Realised, trial: Trial, start: Array) -> Array:
+def law_starts(own: Realised, trial: Trial, start: Array) -> Array:
     """(nj, nz) the laws' states where a trial starts, the joints at (2 nj,) coordinates and rates."""
     generated, _ = compiled.load_mjcf(own.stepped)
     time = float(trial.start - trial.times[0])

@@ -11,6 +11,7 @@ from typing import Any, Protocol, TypeVar
 
 from equimus_ctrl.errors import EquimusError, one_line
 from equimus_ctrl.executors.calls import Call, Ended, Gone, Unfit, opened
+from equimus_ctrl.executors.second_chance import SecondChances
 from equimus_ctrl.executors.versions import versions
 
 T = TypeVar("T")
@@ -42,6 +43,7 @@ class Executor(ABC):
 
     def __init__(self, prepare: Prepare | None = None) -> None:
         self._prepare = prepare
+        self._chances = SecondChances()
 
     @property
     @abstractmethod
@@ -52,8 +54,8 @@ class Executor(ABC):
     def _give(self, call: Call) -> Future[bytes]:
         """Hand a piece over; it is given again where its worker is lost. Its future can be cancelled.
 
-        The future raises ``Ended`` where the process that did it ended, ``Unfit`` where none can do it, ``Gone`` where
-        nothing is there any more to do it.
+        The future raises ``Ended`` where the process that did it ended, ``Lost`` where it has lost too many workers,
+        ``Unfit`` where none can do it, ``Gone`` where nothing is there any more to do it.
         """
 
     @property
@@ -66,7 +68,10 @@ class Executor(ABC):
 
     def submit(self, work: Callable[..., T], /, *args: Any) -> Future[T]:
         """Begin a piece of work; processes that do it may have done others before."""
-        return _opened(self._give(self._call(work, args, False)))
+        return self._begin(self._call(work, args, False))
+
+    def _begin(self, call: Call) -> Future[Any]:
+        return self._chances.give(lambda: _opened(self._give(call)))
 
     def each(self, work: Callable[..., T], tasks: Iterable[tuple[Any, ...]]) -> Iterator[tuple[int, T]]:
         """Call a function with each task's arguments.
@@ -108,7 +113,7 @@ class Executor(ABC):
         try:
             while True:
                 for index, task in islice(left, max(AHEAD * self.count - len(waiting), 0)):
-                    waiting[_opened(self._give(self._call(work, task, apart)))] = index
+                    waiting[self._begin(self._call(work, task, apart))] = index
                 if not waiting:
                     return
                 for future in wait(waiting, return_when=FIRST_COMPLETED).done:

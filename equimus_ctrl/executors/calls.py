@@ -35,6 +35,10 @@ class Ended(EquimusError):
     """A process ended before its piece of work was done; the message says how."""
 
 
+class Lost(Ended):
+    """Workers were lost that did this piece, perhaps others beside it, so whether it ended them is not known."""
+
+
 @dataclass(frozen=True)
 class Call:
     """One piece of work.

@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Any
 
 from equimus_ctrl.errors import NotAvailable, one_line
 from equimus_ctrl.executors.base import Executor, Prepare
-from equimus_ctrl.executors.calls import Call, Ended, Gone, failed
+from equimus_ctrl.executors.calls import Call, Ended, Gone, Lost, failed
 from equimus_ctrl.executors.child import Child
 from equimus_ctrl.executors.versions import mismatch, processor, versions, warn_of_mix
 
@@ -102,7 +102,7 @@ def _told(given: DaskFuture, seen: Callable[[Mapping[str, Mapping[str, str]]], N
                 seen({worker: own})
                 told.set_result(found)
             except KilledWorker as error:
-                told.set_exception(Ended(f"took {error.allowed_failures + 1} workers with it, one after the other"))
+                told.set_exception(Lost(f"took {error.allowed_failures + 1} workers with it, one after the other"))
             except CancelledError:
                 told.set_exception(
                     Gone("the Dask scheduler is gone, or it has dropped this work; the same command goes on from here")

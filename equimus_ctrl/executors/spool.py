@@ -25,7 +25,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
-from equimus_ctrl.executors.calls import Ended, failed
+from equimus_ctrl.executors.calls import Ended, Lost, failed
 from equimus_ctrl.executors.child import Child
 from equimus_ctrl.executors.versions import processor
 
@@ -73,7 +73,7 @@ def put_back(folder: Path, own: Path) -> None:
             if attempt < ATTEMPTS:
                 path.replace(folder / "todo" / name_of(number, attempt + 1))
             else:
-                told = failed(Ended(f"took {ATTEMPTS} jobs with it, one after the other"))
+                told = failed(Lost(f"took {ATTEMPTS} jobs with it, one after the other"))
                 write(folder / "done" / path.name, told)
                 path.unlink(missing_ok=True)
 

@@ -65,6 +65,7 @@ def designed(
     draws: int = LIMIT_DRAWS,
     refits: int = REFITS,
     noises: Mapping[str, float] | None = None,
+    track: float | None = None,
     simulator: Simulator | None = None,
     progress: Progress = lambda stage, share: None,
 ) -> Designed:
@@ -83,6 +84,7 @@ def designed(
         draws: of each rival's parameters through which the design is taken.
         refits: for the power of the final design, in all; each pair has ``LEAST_DRAWS`` to ``power.DRAWS`` of them.
         noises: sensor → its standard deviation, for what would tell apart what no design does.
+        track: natural frequency of feedback by which joints track references, see ``Ground.of`` [Hz].
         simulator: that of the rivals by default.
         progress: see ``Progress``.
 
@@ -98,7 +100,7 @@ def designed(
     check_noises(rivals, noises or {})
     with threadpool_limits(limits=1, user_api="blas"):  # sums in another order would change the last bits
         simulator = simulator or rivals.simulator()
-        grounds, refused = _grounds(rivals, limits, conditions, simulator)
+        grounds, refused = _grounds(rivals, limits, conditions, simulator, track)
         costly = grounds[0].takes_long
         looked_at = COSTLY_LOOKED_AT if costly else LOOKED_AT
         arms = list[Arm]()
@@ -164,13 +166,13 @@ def told_pairs(rivals: Rivals) -> list[tuple[int, int]]:
 
 
 def _grounds(
-    rivals: Rivals, limits: Limits, conditions: Sequence[KnownCondition], simulator: Simulator
+    rivals: Rivals, limits: Limits, conditions: Sequence[KnownCondition], simulator: Simulator, track: float | None
 ) -> tuple[list[Ground], tuple[tuple[str, str], ...]]:
     """Where the robot rests under each condition; conditions under which it does not, and why."""
     found, refused = list[Ground](), list[tuple[str, str]]()
     for condition in conditions:
         try:
-            found.append(Ground.of(rivals, limits, condition, simulator))
+            found.append(Ground.of(rivals, limits, condition, simulator, track))
             _ = found[-1].bounds
         except ConfigError as error:
             if len(conditions) == 1:
@@ -219,13 +221,13 @@ class _Final:
             ground = arm.ground
             if id(ground) not in self.crowds:
                 self.crowds[id(ground)] = ground.crowd(self.models)
-            course = arm.commands(point).commands
+            course = arm.commands(point).course
             try:
                 share, excess = self.crowds[id(ground)].within(course)
             except ConfigError:  # even at rest: another condition may do
                 continue
             commands = ground.trial(ground.rest + share * (course - ground.rest))
-            if np.any(commands.commands != ground.rest):
+            if np.any(commands.course != ground.rest):
                 found.append(_Kept(ground, arm.family.name, commands, share, excess))
             progress("limits", (k + 1) / len(designs))
         return found
@@ -283,8 +285,8 @@ def _largest(arms: Sequence[Arm], final: _Final) -> list[Commands]:
         if arm.largest is not None
         for own in final.kept([(arm, arm.largest)], lambda stage, share: None)
     ]
-    span = np.ptp([own.commands for own in found], axis=1) if found else np.empty((0, 1))
-    return [found[int(span.max(axis=1).argmax())]] if found else []
+    span = [float(np.ptp(own.course, axis=0).max()) for own in found]
+    return [found[int(np.argmax(span))]] if found else []
 
 
 def _both_ways(found: Sequence[Power]) -> Iterator[tuple[Power, Power]]:

@@ -62,7 +62,9 @@ def unrecorded(model: Model) -> Rivals:
     )
 
 
-def first_trial(model: Model, limits: Limits, seed: int, draws: int) -> tuple[Commands, float, Excess]:
+def first_trial(
+    model: Model, limits: Limits, seed: int, draws: int, track: float | None = None
+) -> tuple[Commands, float, Excess]:
     """Commands that move everything, what the limits left of them, and how near they come to these.
 
     Args:
@@ -70,13 +72,14 @@ def first_trial(model: Model, limits: Limits, seed: int, draws: int) -> tuple[Co
         limits: that must not be left, with the duration.
         seed: of the draws.
         draws: of its parameters.
+        track: natural frequency of feedback by which joints track references, see ``Ground.of`` [Hz].
 
     Raises:
         ConfigError: where the robot does not come to rest.
         NothingFeasible: where nothing that moves stays within the limits.
     """
     rivals = unrecorded(model)
-    ground = Ground.of(rivals, limits, KnownCondition(), rivals.simulator())
+    ground = Ground.of(rivals, limits, KnownCondition(), rivals.simulator(), track)
     first, family, rng = rivals.rivals[0], Multisine(), np.random.default_rng([seed, 0])
 
     def crowd(count: int, which: int) -> Crowd:
@@ -85,7 +88,7 @@ def first_trial(model: Model, limits: Limits, seed: int, draws: int) -> tuple[Co
 
     few, best, most = crowd(LOOKED_AT, 1), None, 0.0
     for _ in range(TRIED):
-        course = ground.commands(family, rng.random(family.dimension(len(ground.rest))), 1.0).commands
+        course = ground.commands(family, rng.random(family.dimension(len(ground.rest))), 1.0).course
         course = ground.rest + few.within(course)[0] * (course - ground.rest)
         (motions,) = few.part([0]).motions([ground.trial(course)])
         if (moved := _moved(motions, limits)) > most:

@@ -48,7 +48,8 @@ def forecast(designed: Designed, simulator: Simulator | None = None) -> Forecast
     rivals, commands = designed.rivals, designed.commands
     simulator = simulator or rivals.simulator()
     ground = Ground(
-        rivals, designed.limits, designed.condition, simulator, commands.commands[0], commands.start
+        rivals, designed.limits, designed.condition, simulator, commands.course[0], commands.start,
+        commands.law,
     )  # fmt: skip
     nj = len(rivals.model.robot.joint_names)
     rng = np.random.default_rng([designed.seed, 3])

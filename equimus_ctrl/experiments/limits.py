@@ -50,6 +50,9 @@ MARGIN = 0.02
 GIVE = 2.5e-3
 """Share of its range by which a joint that rests at its limit may go farther than at rest: an end gives way under what
 presses on it while other joints move. The leg's knee, 5 mrad, goes 2.4 mrad farther at most in 300 random designs."""
+ONE_TURN = 2 * math.pi
+"""How far a hinge without a range of its own may go either way from where its model has it at zero [rad]: cables and
+hoses are not in a model."""
 NEAR = 1e-2
 """How exactly an amplitude is found."""
 TIMES = ("duration", "before", "after")
@@ -62,19 +65,22 @@ PARTS = {
 
 @dataclass(frozen=True, eq=False)
 class Motions:
-    """What several models do under the same commands.
+    """What several models do under the same commands, or along the same reference.
 
     Attributes:
         times: (n,) [s].
         position: (k, n, nj) true positions [rad or m]; nan where a simulation was lost.
         rate: (k, n, nj) [rad/s or m/s].
         rest: (k, nj) where each rests [rad or m].
+        command: (k, n, na) what feedback asks for, where joints track references; nan where a simulation was lost. None
+            where commands are the same for all and keep their limits by construction.
     """
 
     times: Array
     position: Array
     rate: Array
     rest: Array
+    command: Array | None = None
 
     @classmethod
     def of(cls, predicted: Sequence[Predicted], times: Array) -> Motions:
@@ -99,14 +105,15 @@ class Excess:
     """By how much motions leave limits.
 
     Attributes:
-        by: (3 nj,) how far beyond each limit the farthest motion goes, in units of the limit's range; at most 0 within.
-            First the lower ends of all joints, then the upper ones, then their rates; +inf where a simulation was lost.
-        names: (3 nj,) of the limits.
-        values: (3 nj,) what was reached there, and (3 nj,) ``limits`` what may be.
+        by: (m,) how far beyond each limit the farthest motion goes, in units of the limit's range; at most 0 within.
+            First the lower ends of all joints, then the upper ones, then their rates, and behind them the same of
+            commands that feedback asks for, with their accelerations; +inf where a simulation was lost.
+        names: (m,) of the limits.
+        values: (m,) what was reached there, and (m,) ``limits`` what may be.
         limits: what may be.
-        units: (3 nj,) SI units of both.
-        when: (3 nj,) instants at which each is left farthest, or come nearest to [s].
-        model: (3 nj,) which model does so.
+        units: (m,) SI units of both.
+        when: (m,) instants at which each is left farthest, or come nearest to [s].
+        model: (m,) which model does so.
     """
 
     by: Array
@@ -132,7 +139,7 @@ class Excess:
         k = int(self.by.argmax())
         if self.by[k] == -math.inf:
             return "no joint has one"
-        if math.isinf(self.by[k]):
+        if math.isinf(self.by[k]) or math.isnan(self.values[k]):
             return f"the simulation of model {self.model[k]} is lost at {self.when[k]:.3g} s"
         unit, _, per = self.units[k].partition("/")
         own = reading(unit)
@@ -150,8 +157,8 @@ class Limits:
         command_high: (na,) highest.
         command_rate: (na,) greatest change in a second, +inf where nothing says so.
         command_acceleration: (na,) greatest change of that in a second.
-        joint_low: (nj,) where ranges begin, ±inf where they do not [rad or m].
-        joint_high: (nj,) where they end.
+        joint_low: (nj,) where ranges begin, −inf where they do not [rad or m].
+        joint_high: (nj,) where they end, +inf where they do not.
         joint_margin: (nj,) kept from either end [rad or m].
         joint_rate: (nj,) how fast joints may be, +inf where nothing says so [rad/s or m/s].
         duration: of a trial [s].
@@ -198,10 +205,12 @@ class Limits:
     def of(cls, robot: Robot) -> Limits:
         """A robot's own: its ranges, with margins, and how fast its commands may change.
 
+        A hinge that may turn without end in the model goes one turn either way, unless a user says more.
         Goals without limits of their own may be anywhere in the ranges of the joints that they are for.
         """
         low, high = robot.joint_range
         span = high - low
+        turns = np.array([not robot.slides(joint) for joint in robot.joint_names])
         with np.errstate(invalid="ignore"):
             ends = np.sort([robot.goals_at(low), robot.goals_at(high)], axis=0)
         given = np.array(robot.command_limits)
@@ -213,8 +222,8 @@ class Limits:
             given[1],
             robot.command_rates,
             np.full(len(robot.actuator_names), np.inf),
-            low,
-            high,
+            np.where(turns & ~np.isfinite(low), -ONE_TURN, low),
+            np.where(turns & ~np.isfinite(high), ONE_TURN, high),
             np.where(np.isfinite(span), MARGIN * np.where(np.isfinite(span), span, 0.0), 0.0),
             np.full(len(low), np.inf),
         )
@@ -285,20 +294,60 @@ class Limits:
         Raises:
             ConfigError: where a range has no end.
         """
-        robot = self.robot
-        for i, name in enumerate(robot.actuator_names):
-            if not (np.isfinite(self.command_low[i]) and np.isfinite(self.command_high[i])):
-                raise ConfigError(
-                    f"{robot.name}: commands of {name} have no limits of their own; expected {name}.low and "
-                    f"{name}.high in --limits"
-                )
+        self._check_commands()
         return CommandBounds(
             self.command_low, self.command_high, rest, self.command_rate, self.command_acceleration, self.before,
             self.after,
         )  # fmt: skip
 
+    def _check_commands(self) -> None:
+        """Raise ConfigError where commands of an actuator have no limits."""
+        for i, name in enumerate(self.robot.actuator_names):
+            if not (np.isfinite(self.command_low[i]) and np.isfinite(self.command_high[i])):
+                raise ConfigError(
+                    f"{self.robot.name}: commands of {name} have no limits of their own; expected {name}.low and "
+                    f"{name}.high in --limits"
+                )
+
+    def reference_bounds(self, rest: Array, acceleration: Array) -> CommandBounds:
+        """Of references of joints, see ``families``: their ranges less the margins, and their rates.
+
+        Args:
+            rest: (nj,) where they rest [rad or m].
+            acceleration: (nj,) that may be asked for [rad/s² or m/s²].
+
+        Raises:
+            ConfigError: where a range has no end.
+        """
+        robot = self.robot
+        self._check_commands()
+        low, high = self.joint_low + self.joint_margin, self.joint_high - self.joint_margin
+        for j, name in enumerate(robot.joint_names):
+            if not (np.isfinite(low[j]) and np.isfinite(high[j])):
+                raise ConfigError(
+                    f"{robot.name}: {name}, which is to track a reference, has no range of its own; expected "
+                    f"{name}.low and {name}.high in --limits"
+                )
+        return CommandBounds(
+            np.minimum(low, rest), np.maximum(high, rest), rest, self.joint_rate, acceleration, self.before, self.after,
+        )  # fmt: skip
+
+    def rests_outside(self, pose: Array) -> str:
+        """Which joint is beyond its range in a pose (nj,), by more than an end gives way, as a clause; else empty."""
+        span = self.joint_high - self.joint_low
+        room = GIVE * np.where(np.isfinite(span), span, 0.0)
+        beyond = np.maximum(self.joint_low - room - pose, pose - self.joint_high - room)
+        j = int(np.argmax(beyond))
+        if beyond[j] <= 0:
+            return ""
+        own = reading(self.robot.joint_units[j])
+        low, high = (own.text(float(side[j])) for side in (self.joint_low, self.joint_high))
+        return f"{self.robot.joint_names[j]} at {own.text(float(pose[j]))}, outside {low} to {high}"
+
     def excess(self, motions: Motions) -> Excess:
         """By how much motions leave the limits of joints, each in units of its limit's range.
+
+        Where commands follow from feedback, also by how much these leave theirs.
 
         A joint may go as far as its range less the margin; one that rests beyond that as far as it rests, and a little
         farther, for an end gives way (``GIVE``).
@@ -311,21 +360,47 @@ class Limits:
         high = np.where(rest > high, np.maximum(high, rest + GIVE * span), high)
         speed = np.where(np.isfinite(self.joint_rate), self.joint_rate, 1.0)
         beyond = np.concatenate([(low - q) / span, (q - high) / span, (np.abs(v) - self.joint_rate) / speed], axis=2)
-        lost = ~np.isfinite(np.concatenate([q, q, v], axis=2))
-        beyond = np.where(lost, np.inf, beyond)
-        flat = beyond.reshape(-1, beyond.shape[2])  # (k n, 3 nj)
-        at = flat.argmax(axis=0)
-        model, row = np.divmod(at, len(motions.times))
-        every = np.arange(flat.shape[1])
-        reached = np.concatenate([q, q, np.abs(v)], axis=2)[model, row, every]
+        reached = np.concatenate([q, q, np.abs(v)], axis=2)
         may = np.concatenate(np.broadcast_arrays(low, high, self.joint_rate), axis=2)
         names = [f"{joint} {what}" for what in ("below its range", "above its range", "too fast") for joint in
                  robot.joint_names]  # fmt: skip
-        units = (*robot.joint_units, *robot.joint_units, *(f"{unit}/s" for unit in robot.joint_units))
+        units = [*robot.joint_units, *robot.joint_units, *(f"{unit}/s" for unit in robot.joint_units)]
+        if motions.command is not None:
+            of_commands = self._of_commands(motions.command, motions.times)
+            beyond, reached = (
+                np.concatenate(both, axis=2) for both in zip((beyond, reached), of_commands, strict=True)
+            )
+            ends = np.concatenate(
+                [self.command_low, self.command_high, self.command_rate, self.command_acceleration]
+            )  # fmt: skip
+            may = np.concatenate([may, np.broadcast_to(ends, (*may.shape[:2], len(ends)))], axis=2)
+            whats = ("below its range", "above its range", "too fast", "too sudden")
+            names += [f"command of {own} {what}" for what in whats for own in robot.actuator_names]
+            units += [f"{unit}{per}" for per in ("", "", "/s", "/s²") for unit in robot.command_units]
+        beyond = np.where(np.isfinite(reached), beyond, np.inf)
+        flat = beyond.reshape(-1, beyond.shape[2])  # (k n, m)
+        at = flat.argmax(axis=0)
+        model, row = np.divmod(at, len(motions.times))
+        every = np.arange(flat.shape[1])
         return Excess(
-            flat[at, every], tuple(names), reached, may[model, 0, every], units, motions.times[row],
-            tuple(int(k) for k in model),
+            flat[at, every], tuple(names), reached[model, row, every], may[model, 0, every], tuple(units),
+            motions.times[row], tuple(int(k) for k in model),
         )  # fmt: skip
+
+    def _of_commands(self, command: Array, times: Array) -> tuple[Array, Array]:
+        """(k, n, 4 na) by how much commands (k, n, na) leave their limits, in units of these, and what they reach."""
+        steps = np.diff(times)[:, None]
+        rates = np.diff(command, axis=1, prepend=command[:, :1]) / np.vstack([steps[:1], steps])
+        turning = np.diff(rates, axis=1, prepend=rates[:, :1]) / np.vstack([steps[:1], steps])
+        span = self.command_high - self.command_low
+        span, most, sudden = (np.where(np.isfinite(x), x, 1.0) for x in (span, self.command_rate,
+                                                                        self.command_acceleration))  # fmt: skip
+        reached = [command, command, np.abs(rates), np.abs(turning)]
+        beyond = [
+            (self.command_low - command) / span, (command - self.command_high) / span,
+            (reached[2] - self.command_rate) / most, (reached[3] - self.command_acceleration) / sudden,
+        ]  # fmt: skip
+        return np.concatenate(beyond, axis=2), np.concatenate(reached, axis=2)
 
 
 def shrunk(motions: Callable[[float], Motions], limits: Limits, near: float = NEAR) -> tuple[float, Excess]:

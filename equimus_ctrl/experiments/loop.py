@@ -277,7 +277,7 @@ def why(predicted: Sequence[Predicted]) -> str:
     best = max(predicted, key=lambda own: (own.chance, own.gap))
     told = (
         f"it distinguishes {best.true} from {best.other} by an expected gap of {best.gap:.3g} ({best.low:.3g} to "
-        f"{best.high:.3g}) in −2Δln L, with a chance of {best.chance:.0%}"
+        f"{best.high:.3g}) in −2Δln L, with a chance of {100 * best.chance:.0f} %"
     )
     if math.isfinite(best.repeats) and best.repeats > 1:
         told += f"; {best.repeats:g} such trials would be likely to"
@@ -299,7 +299,7 @@ def why_not(predicted: Sequence[Predicted]) -> str:
     often = f"{best.repeats:g} of them would be needed" if math.isfinite(best.repeats) else "no number of them would do"
     return (
         f"{told}: the best trial that was found distinguishes {best.true} from {best.other} with a chance of "
-        f"{best.chance:.0%}, and {often}"
+        f"{100 * best.chance:.0f} %, and {often}"
     )
 
 

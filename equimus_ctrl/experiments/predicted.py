@@ -1,4 +1,11 @@
-"""Trials that nobody has made yet, as they would be recorded and cut, with a model as the truth and without noise."""
+"""Trials that nobody has made yet, as they would be recorded and cut, with a model as the truth and without noise.
+
+Where joints track references, what is commanded follows from what is measured: each model has commands of its own. A
+diagnosis compares what was measured with what models do under the commands that were recorded. So the model that is
+taken for the truth is simulated in closed loop, once, and all models then under *its* commands, over the same shooting
+intervals as of any recording, so that an open loop that is not stable has no time to diverge. By the noise that is
+fed back commands differ a little from these; that they are recorded, whatever they are, is what counts.
+"""
 
 from __future__ import annotations
 
@@ -8,6 +15,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from equimus_ctrl.diagnosis.rivals import Rivals
+from equimus_ctrl.engines.choice import MujocoEngine, simulation_of
 from equimus_ctrl.engines.predict import in_its_condition, robot_as_noted
 from equimus_ctrl.engines.rest import rest_pose
 from equimus_ctrl.engines.trials import Predicted, Trial
@@ -17,7 +25,7 @@ from equimus_ctrl.identification.segments import Segment, cut
 from equimus_ctrl.identification.simulators import Simulator
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.shown import Short
-from equimus_ctrl.types import Array, Recording
+from equimus_ctrl.types import Array, FeedbackLaw, Recording
 
 SETTLING = 20.0
 """How long a robot that need not start at rest may take to come to rest under its first command [s]."""
@@ -35,6 +43,9 @@ class Commands(Short):
         duration: of the trial [s].
         start: (nj,) where the joints are at first, at rest [rad or m]; by default where the first command holds them.
         notes: that say what is known to be different in the trial, see ``engines.predict.noted``.
+        reference: (n, nj) where joints are to be, in a trial in which they track that [rad or m]; the commands are fed
+            forward then.
+        law: of the feedback by which they do.
     """
 
     times: Array
@@ -42,8 +53,12 @@ class Commands(Short):
     duration: float
     start: Array | None = None
     notes: Mapping[str, str] = field(default_factory=dict)
+    reference: Array | None = None
+    law: FeedbackLaw | None = None
 
     def __post_init__(self) -> None:
+        if (self.reference is None) != (self.law is None):
+            raise ConfigError("a reference of joints is tracked by a feedback law, expected both or none")
         if len(self.times) != len(self.commands) or not np.all(np.diff(self.times) > 0):
             raise ConfigError(
                 f"{len(self.commands)} commands at {len(self.times)} times, expected one each, the times ascending"
@@ -51,14 +66,37 @@ class Commands(Short):
         if not len(self.times) or not self.times[0] < self.duration:
             raise ConfigError(f"a trial of {self.duration:g} s has no command before its end, expected one or more")
 
+    @property
+    def course(self) -> Array:
+        """(n, …) what was designed: the reference where joints track one, else the commands."""
+        return self.commands if self.reference is None else self.reference
+
     def sampled(self, rate: float, linear: bool = False) -> tuple[Array, Array]:
         """(m,) sample times at a rate [1/s], and (m, na) the commands there."""
         count = max(int(np.ceil((self.duration - self.times[0]) * rate - 1e-9)), 1)
         times = self.times[0] + np.arange(count) / rate
-        if linear:
-            return times, np.column_stack([np.interp(times, self.times, column) for column in self.commands.T])
+        if linear or self.law is not None:
+            return times, _along(times, self.times, self.commands)
         # A command that begins at a sample holds there, whatever rounding makes of the instant.
         return times, self.commands[np.searchsorted(self.times, times + 1e-6 / rate, side="right") - 1]
+
+    def tracked(self, rate: float, lead: float = 0.0) -> tuple[Array, Array, Array]:
+        """Instants (m,), what is fed forward (m, na) and where joints are to be (m, nj), in a trial that tracks.
+
+        Args:
+            rate: of the feedback [1/s].
+            lead: how long it has been held at the first reference before [s].
+        """
+        assert self.reference is not None
+        times, feed = self.sampled(rate)
+        early = times[0] - np.arange(round(lead * rate), 0, -1) / rate
+        whole = np.concatenate([early, times])
+        feed = np.concatenate([np.tile(feed[0], (len(early), 1)), feed])
+        return whole, feed, _along(whole, self.times, self.reference)
+
+
+def _along(times: Array, knots: Array, values: Array) -> Array:
+    return np.column_stack([np.interp(times, knots, column) for column in values.T])
 
 
 def predicted_trials(
@@ -93,7 +131,14 @@ def predicted_recordings(
     )  # fmt: skip
     channels = rivals.channels
     trials, starts, noted, known = [], [], [], dict[tuple[bytes, str], Array]()
+    played: dict[int, Predicted] = {}
     for k, own in enumerate(commands):
+        if own.law is not None:
+            trial, found_there = _tracked(bare, truth, f"trial {k + 1}", own, rivals, simulator)
+            noted.append(replace(bare, notes={**bare.notes, **own.notes}))
+            trials.append(trial)
+            played[k] = found_there
+            continue
         times, rows = own.sampled(rivals.rate, bare.linear)
         pose, first = own.start, (rows[0].tobytes(), repr(sorted(own.notes.items())))
         if pose is None:
@@ -107,11 +152,42 @@ def predicted_recordings(
         noted.append(replace(bare, notes={**bare.notes, **own.notes}))
         trials.append(in_its_condition(truth, noted[-1], trial))
         starts.append(np.concatenate([pose, np.zeros(nj)])[None])
-    found = simulator.engine.simulate([truth], trials, starts, simulator.threads)
+    open_loop = [trial for k, trial in enumerate(trials) if k not in played]
+    rest = iter(simulator.engine.simulate([truth], open_loop, starts, simulator.threads) if open_loop else ())
+    found = [played[k] if k in played else next(rest) for k in range(len(trials))]
     for trial, one in zip(trials, found, strict=True):
         if not one.sound[0]:
             raise SimulationDiverged(f"{trial.name}: the simulation of {truth.name} diverges")
     return [_recorded(own, trial, one, truth, channels) for own, trial, one in zip(noted, trials, found, strict=True)]
+
+
+def _tracked(
+    bare: Recording, truth: Model, name: str, own: Commands, rivals: Rivals, simulator: Simulator
+) -> tuple[Trial, Predicted]:
+    """A trial in closed loop with the commands that are given in it, and what is seen of it."""
+    assert own.law is not None
+    assert own.start is not None
+    times, feed, reference = own.tracked(rivals.rate)
+    trial = Trial(
+        name, times, feed, feed[0], float(times[0]), own.start, times, inner=True, forces=bool(rivals.channels.forces)
+    )  # fmt: skip
+    trial = in_its_condition(truth, replace(bare, notes={**bare.notes, **own.notes}), trial)
+    start = np.concatenate([own.start, np.zeros(len(own.start))])[None]
+    engine = closed_loop_engine(truth)
+    found = engine.tracked([truth], trial, reference, own.law, start, threads=simulator.threads)
+    return replace(trial, commands=found.command[0]), found.predicted
+
+
+def closed_loop_engine(model: Model) -> MujocoEngine:
+    """What simulates a model whose joints track references.
+
+    Raises:
+        ConfigError: for a robot of which nothing does.
+    """
+    engine = simulation_of(model)
+    if engine is None:
+        raise ConfigError(f"{model.name} cannot be simulated with feedback on references, expected commands to play")
+    return replace(engine, hard_friction=True)
 
 
 def as_noted(model: Model, notes: Mapping[str, str]) -> Model:

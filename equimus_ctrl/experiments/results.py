@@ -13,6 +13,7 @@ from equimus_ctrl.experiments.power import Power
 from equimus_ctrl.experiments.predicted import Commands
 from equimus_ctrl.experiments.sensors import Remedy
 from equimus_ctrl.shown import Short
+from equimus_ctrl.types import FeedbackLaw
 
 FORMAT = "equimus-ctrl/design/1"
 Ending = Literal["settled", "one trial", "repeats", "another trial", "inseparable"]
@@ -136,6 +137,7 @@ class Designed(Short):
             "condition": self.condition.text,
             "family": self.family,
             "duration_s": self.commands.duration,
+            "law": None if self.commands.law is None else _told(self.commands.law),
             "amplitude": self.amplitude,
             "pairs": [own.to_dict() for own in self.pairs],
             "nearest_to_a_limit": str(self.excess),
@@ -149,3 +151,8 @@ class Designed(Short):
             "evaluations": self.evaluations,
             "timed_out": self.timed_out,
         }
+
+
+def _told(law: FeedbackLaw) -> dict[str, Any]:
+    """A feedback law as JSON data."""
+    return {"stiffness": law.stiffness.tolist(), "damping": law.damping.tolist(), "smoothing": law.smoothing}

@@ -96,7 +96,7 @@ class Arm:
         if self.best is None:
             return []
         alike = [p for p, value in zip(self.points, self.values, strict=True) if value > self.best.value - ALIKE]
-        span = [float(np.abs(self.commands(p).commands - self.ground.rest).max(axis=0).sum()) for p in alike]
+        span = [float(np.abs(self.commands(p).course - self.ground.rest).max(axis=0).sum()) for p in alike]
         smallest = alike[int(np.argmin(span))]
         return [self.best.point] if smallest is self.best.point else [self.best.point, smallest]
 

@@ -17,7 +17,7 @@ from equimus_ctrl.options.export import ExportOptions
 from equimus_ctrl.options.fields import NAMES, SPAN, bounds_of, key_values
 from equimus_ctrl.options.identify import IdentifyOptions
 from equimus_ctrl.options.offers import OnCommandLine, offered, option, with_changes
-from equimus_ctrl.options.prove import KINDS, LEAST_DURATION, ProveOptions, Shard
+from equimus_ctrl.options.prove import EXCITATIONS, KINDS, LEAST_DURATION, ProveOptions, Shard
 from equimus_ctrl.options.score import MOST_RATE, ScoreOptions
 from equimus_ctrl.options.sensitivity import SensitivityOptions
 from equimus_ctrl.options.train import ALGORITHMS, UNSEEN_SEED, TrainOptions
@@ -30,6 +30,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "ALGORITHMS",
+    "EXCITATIONS",
     "KINDS",
     "LEAST_DURATION",
     "MOST_RATE",

@@ -50,6 +50,8 @@ class DesignOptions:
         evaluations: of designs, in all; by default as many as the engine does in about half a minute.
         draws: of each explanation's parameters through which the design is taken: the true robot, if it is one of them,
             leaves the limits with a chance of at most 1/(draws + 1).
+        track: natural frequency of the feedback by which joints track references, in place of commands that are played
+            [Hz]; by default where the robot rests under no constant command.
         sensor_noise: channel → standard deviation that a sensor would have, where nothing tells explanations apart.
         threads: of the simulations; all cores by default.
 
@@ -87,6 +89,13 @@ class DesignOptions:
         None, int | None, "Designs that are tried; by default as many as take about half a minute."
     )
     draws: int = option(99, int, "Of each explanation's parameters; the limits are left with at most 1/(draws + 1).")
+    track: float | None = option(
+        None,
+        float | None,
+        "Joints track references by feedback of this natural frequency, in Hz; by default where the robot rests under "
+        "no constant command. Else commands are played.",
+        metavar="HZ",
+    )
     sensor_noise: Mapping[str, float] | None = option(
         None,
         NAMES,
@@ -103,6 +112,8 @@ class DesignOptions:
             value = getattr(self, name)
             if value is not None and not 0 < value < math.inf:
                 raise ConfigError(f"the {name} is {value:g} s, expected a time above 0")
+        if self.track is not None and not 0 < self.track < math.inf:
+            raise ConfigError(f"track is {self.track:g} Hz, expected more than 0")
         for name, value in (self.sensor_noise or {}).items():
             if not 0 < value < math.inf:
                 raise ConfigError(f"the noise of {name} is {value:g}, expected more than 0")

@@ -4,16 +4,31 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal, cast, get_args
 
 from equimus_ctrl.errors import ConfigError, unknown_name
-from equimus_ctrl.options.fields import at_least, check_where, counted, scheduler_option, slurm_option, workers_option
+from equimus_ctrl.options.experiment import limit_of
+from equimus_ctrl.options.fields import (
+    NAMES,
+    at_least,
+    check_where,
+    counted,
+    scheduler_option,
+    slurm_option,
+    workers_option,
+)
 from equimus_ctrl.options.offers import option
 
 KINDS = ("none", "single", "pair", "outside", "all_joints", "triple")
 """Of ground truths; see ``proof.drawing.Kind``."""
+Excitation = Literal["rich", "poor"]
+"""Of trials; see ``proof.legs.Excitation``."""
+EXCITATIONS = get_args(Excitation)
+MOST_EXPERIMENTS = 99
+"""Designed trials of a case."""
 LEAST_DURATION = 2.0
 """Of a proof's trial; a shorter one does not move the leg enough [s]."""
 
@@ -61,8 +76,17 @@ class ProveOptions:
         cases: how many robots.
         seed: of everything random.
         kind: of all ground truths, one of ``proof.drawing.Kind``; drawn for each by default.
-        trials: of each leg; ``proof.designs.TRIALS`` by default.
-        duration: of each leg's trials; ``proof.designs.DURATION`` by default [s].
+        trials: of each leg; ``proof.designs.TRIALS`` by default, ``proof.chirps.TRIALS`` of poor ones.
+        duration: of each leg's trials; ``proof.designs.DURATION`` by default, ``proof.chirps.DURATION`` of poor ones
+            [s].
+        excitation: ``rich`` trials over the whole workspace, or ``poor`` ones, small chirps; by default poor with
+            ``experiments``, else rich.
+        experiments: trials that are designed for each robot, one after the other, to distinguish what the diagnosis of
+            those before leaves.
+        limits: file that says what designed trials must not leave; the robot's own limits by default.
+        limit: one of them by its name, before what the file says: ``{"knee.margin": "0.1"}``.
+        can: known conditions that can be had in designed trials, see ``experiments.conditions``.
+        evaluations: of designs of each; by default as many as the engine does in about half a minute.
         track: frequency of controllers that keep an MJCF robot near the recorded motion [Hz]; by default its commands
             are given as recorded.
         workers: processes at a time; as many as there are processors by default.
@@ -96,6 +120,43 @@ class ProveOptions:
         "recorded torques did; 2 or so.",
         metavar="HZ",
     )
+    excitation: str | None = option(
+        None,
+        str | None,
+        "rich (the whole workspace) or poor (small chirps) trials of each robot; poor with --experiments, else rich.",
+        metavar="KIND",
+        shown=False,
+    )
+    experiments: int = option(
+        0,
+        int,
+        "Trials that are designed for each robot after that, one by one, to distinguish what its diagnosis leaves: "
+        "counts how often they resolve what recordings did not.",
+        metavar="COUNT",
+    )
+    limits: Path | None = option(
+        None,
+        Path | None,
+        "With --experiments: file (TOML) of ranges, rates and margins that designed trials must not leave.",
+        metavar="FILE",
+    )
+    limit: Mapping[str, str] | None = option(
+        None,
+        NAMES,
+        "With --experiments: one of them by its name, in SI units, such as knee.margin=0.1; repeatable.",
+        metavar="KEY=VALUE",
+        read=limit_of,
+    )
+    can: Sequence[str] = option(
+        (),
+        NAMES,
+        "With --experiments: a known condition that can be had in designed trials, as of experiment design; "
+        "repeatable.",
+        metavar="CONDITION",
+    )
+    evaluations: int | None = option(
+        None, int | None, "With --experiments: designs that are tried for each trial.", shown=False
+    )
     workers: int | None = workers_option()
     scheduler: str | None = scheduler_option()
     slurm: Path | None = slurm_option()
@@ -121,6 +182,12 @@ class ProveOptions:
         counted("cases", self.cases)
         at_least("seed", self.seed, 0)
         counted("trials", self.trials)
+        at_least("experiments", self.experiments, 0)
+        if self.experiments > MOST_EXPERIMENTS:
+            raise ConfigError(f"experiments is {self.experiments}, expected at most {MOST_EXPERIMENTS}")
+        counted("evaluations", self.evaluations)
+        if self.excitation is not None and self.excitation not in EXCITATIONS:
+            raise ConfigError(unknown_name("excitation", self.excitation, EXCITATIONS))
         check_where(self.workers, self.scheduler, self.slurm)
         if self.shard is not None and self.merge:
             raise ConfigError("--shard and --merge are given, expected one: what is merged is the whole")
@@ -130,3 +197,9 @@ class ProveOptions:
             raise ConfigError(unknown_name("kind of ground truth", self.kind, KINDS))
         if self.duration is not None and not LEAST_DURATION <= self.duration < math.inf:
             raise ConfigError(f"duration is {self.duration:g} s, expected at least {LEAST_DURATION:g} s")
+
+    @property
+    def excites(self) -> Excitation:
+        """How much trials show, whether or not that was said."""
+        usual: Excitation = "poor" if self.experiments else "rich"
+        return usual if self.excitation is None else cast("Excitation", self.excitation)

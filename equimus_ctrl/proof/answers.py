@@ -156,6 +156,11 @@ class Case:
         return min(alone) if alone else float(self.truth["excess"])
 
     @property
+    def missing(self) -> list[Mapping[str, Any]]:
+        """All that is missing from the nominal model, from the catalogue and from outside it."""
+        return [*self.truth["findings"], *self.truth["outside"]]
+
+    @property
     def wanted(self) -> Parts:
         """What ought to be found."""
         return self.places.parts(self.truth["findings"])
@@ -192,6 +197,32 @@ class Case:
         """The same, or what the method calls not distinguishable from it."""
         answer = self.answer(method)
         return not answer.failed and self.places.in_group(self.wanted, answer.findings)
+
+    def right(self, method: Method) -> bool:
+        """Whether exactly what is there was said: nothing, these effects in their places, or something without a name.
+
+        What has no name has to be put where it acts.
+        """
+        if self.kind == "none":
+            return self.answer(method).silent
+        if self.kind == "outside":
+            return self.unexplained(method) and self.placed(method)
+        return self.exact(method)
+
+    def among_left(self) -> bool:
+        """Whether the diagnosis tells what is there among what it does not distinguish.
+
+        Either each effect by one that it calls not distinguishable from it, or as one of the explanations that it
+        leaves. Where it names nothing, it tells no effect, whatever would not have been seen.
+        """
+        answer = self.answer(OURS)
+        if answer.failed or answer.silent or self.kind == "outside":
+            return False
+        left = self.report.get("rivals", {}).get("explanations", ())
+        wanted = _summands(self.wanted)
+        return self.places.in_group(self.wanted, answer.findings) or any(
+            own["accepted"] and _summands(self.places.parts(own["effects"])) == wanted for own in left
+        )
 
     def unexplained(self, method: Method) -> bool:
         """Whether it was said that something is missing that has no name."""

@@ -17,7 +17,9 @@ from equimus_ctrl.diagnosis.fitting import Data
 from equimus_ctrl.diagnosis.holdout import Split, split
 from equimus_ctrl.diagnosis.hypothesis import default_free_parameters
 from equimus_ctrl.diagnosis.results import Diagnosis
+from equimus_ctrl.diagnosis.rivals import Rivals
 from equimus_ctrl.errors import EquimusError
+from equimus_ctrl.experiments.loop import Predicted, held_out, no_longer_left, realised
 from equimus_ctrl.identification.parameters import FreeParameters
 from equimus_ctrl.identification.simulators import reduced_simulator
 from equimus_ctrl.models.model import Model
@@ -31,6 +33,11 @@ SETTINGS = DiagnosisSettings(threads=1)
 def report_fingerprint() -> str:
     """Of a report."""
     return fingerprint(repr(SETTINGS))
+
+
+def further_fingerprint() -> str:
+    """Of a report with designed trials, which says what became of their predictions."""
+    return fingerprint(repr(SETTINGS), (*PARTS, "experiments"))
 
 
 def baselines_fingerprint() -> str:
@@ -62,7 +69,7 @@ def answer(
     if report:
         made = {"fingerprint": report_fingerprint(), "seal": label}
         said, found = _diagnosed(free, data)
-        texts[0] = _text({**said, "proof": {**said["proof"], **made}})
+        texts[0] = as_text({**said, "proof": {**said["proof"], **made}})
     if others:
         made = {"fingerprint": baselines_fingerprint(), "seal": label}
         with threadpool_limits(limits=1, user_api="blas"):
@@ -70,8 +77,39 @@ def answer(
             own = Data(free, data.train, simulator)
             same = found is not None and found.train == data.train
             answers = baselines(own, data.validation, found.base if found is not None and same else None)
-        texts[1] = _text({"answers": answers, **made, "seconds": time.perf_counter() - begun})
+        texts[1] = as_text({"answers": answers, **made, "seconds": time.perf_counter() - begun})
     return texts[0], texts[1]
+
+
+def answer_with(
+    recordings: Sequence[Recording],
+    model: Model,
+    first: Sequence[str],
+    before: Mapping[str, Any],
+    predicted: Sequence[Mapping[str, Any]],
+    made: Mapping[str, Any],
+) -> str:
+    """What is found with a designed trial more, and what became of its predictions, as a file holds it.
+
+    Args:
+        recordings: of one robot, the designed trials last.
+        model: what the robot is taken to be.
+        first: names of the trials that nobody designed: held out is what would be held out of them alone.
+        before: the rivals for which the last trial was designed, see ``Rivals.to_dict``.
+        predicted: of it, see ``experiments.loop.Predicted``.
+        made: written down too: what the answer is of.
+    """
+    keep_freed_memory()
+    free = default_free_parameters(model)
+    said, found = _diagnosed(free, split(free.model, recordings, heldout=held_out(first)))
+    became: list[Any] = []
+    if found is not None:
+        was, now = Rivals.from_dict(before, model), found.rivals
+        with threadpool_limits(limits=1, user_api="blas"):
+            gone = no_longer_left(was, found, now)
+        became = [own.to_dict() for own in realised(was, [Predicted.from_dict(own) for own in predicted], now, gone)]
+    proof = {**said["proof"], **made, "fingerprint": further_fingerprint()}
+    return as_text({**said, "realised": became, "proof": proof})
 
 
 def _diagnosed(free: FreeParameters, data: Split) -> tuple[dict[str, Any], Diagnosis | None]:
@@ -103,7 +141,8 @@ def peak_memory() -> int | None:
     return int(most if sys.platform == "darwin" else most * 1024)
 
 
-def _text(value: Mapping[str, Any]) -> str:
+def as_text(value: Mapping[str, Any]) -> str:
+    """As a file holds it; what is not finite is null."""
     return json.dumps(_plain(value), indent=1, allow_nan=False) + "\n"
 
 

@@ -7,10 +7,9 @@ differs is handed in as ``Draws``, and how a robot's cases are simulated and rec
 from __future__ import annotations
 
 import math
-from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, Literal, get_args
+from typing import Literal, get_args
 
 import numpy as np
 
@@ -169,56 +168,6 @@ class Excess:
     total: float
     joints: tuple[float, ...]
     parameters: dict[str, float]
-
-
-class CaseSource(ABC):
-    """A nominal robot and what is done with it: what cases are made from."""
-
-    @property
-    @abstractmethod
-    def nominal(self) -> Model:
-        """What a diagnosis takes the robot to be."""
-
-    @property
-    @abstractmethod
-    def trial_names(self) -> list[str]:
-        """Of every case."""
-
-    @abstractmethod
-    def draw(self, seed: int, case: int, kind: Kind | None = None, attempt: int = 0) -> GroundTruth:
-        """The ground truth of a case.
-
-        Args:
-            seed: of the whole proof.
-            case: its number.
-            kind: by default one of ``SHARES``.
-            attempt: how many ground truths of this case could not be simulated.
-
-        Raises:
-            ConfigError: for an unknown kind, a seed or case below 0, or where none of many draws can be.
-        """
-
-    @abstractmethod
-    def simulate(self, ground_truth: GroundTruth) -> tuple[GroundTruth, list[Array]]:
-        """The ground truth as it was driven, and for each trial (n, nj) what sensors without noise show [rad or m].
-
-        Raises:
-            SimulationDiverged: where the robot's parameters are none.
-        """
-
-    @abstractmethod
-    def recorded(self, ground_truth: GroundTruth, clean: Sequence[Array]) -> list[Recording]:
-        """What a diagnosis may see: what ``simulate`` gave, with noise."""
-
-    @abstractmethod
-    def excess(
-        self, ground_truth: GroundTruth, clean: Sequence[Array], effects: Sequence[Effect] = (), refit: bool = True
-    ) -> Excess:
-        """Excess residual variance of the fitted robot with ``effects`` alone, see ``strength.excess``."""
-
-    def made_of(self) -> dict[str, Any]:
-        """What cases are made from beside seeds and settings, as JSON."""
-        return {}
 
 
 def draw_case(
@@ -380,6 +329,11 @@ def noise(ground_truth: GroundTruth) -> list[Array]:
                 white[k] = share * white[k - 1] + np.sqrt(1 - share**2) * white[k]
         found.append(white * np.array(ground_truth.noise))
     return found
+
+
+def along(times: Array, steps: Array, values: Array) -> Array:
+    """(n, k) at some times (n,) what is known at steps (m,), (m, k), along lines between them."""
+    return np.column_stack([np.interp(times, steps, column) for column in values.T])
 
 
 def recordings_of(ground_truth: GroundTruth, shown: Sequence[Array], digits: int | None = None) -> list[Recording]:

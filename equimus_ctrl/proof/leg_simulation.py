@@ -30,8 +30,9 @@ from equimus_ctrl.models.buffered import Buffered
 from equimus_ctrl.models.kinematics import Kinematics
 from equimus_ctrl.models.mjcf import compile_model, place
 from equimus_ctrl.models.symbolic import build
-from equimus_ctrl.proof.drawing import GroundTruth, noise, recordings_of
+from equimus_ctrl.proof.drawing import GroundTruth, along, noise, recordings_of
 from equimus_ctrl.proof.outside import Motion, MotionEffect
+from equimus_ctrl.proof.sources import Driven
 from equimus_ctrl.robots.elastic.morphology import Morphology, pack, structure
 from equimus_ctrl.types import Array, Recording
 
@@ -126,7 +127,12 @@ def settled(kinematics: Kinematics, acting: _AppliedForces | None, pressure: Arr
 
 
 def simulate(ground_truth: GroundTruth, rate: float = RATE) -> list[Array]:
-    """For each trial (n, nj) the angles that the sensors would show without noise [rad].
+    """For each trial (n, nj) the angles that the sensors would show without noise [rad], see ``driven``."""
+    return driven(ground_truth, rate).shown
+
+
+def driven(ground_truth: GroundTruth, rate: float = RATE) -> Driven:
+    """A leg on its trials.
 
     Args:
         ground_truth: what happens.
@@ -153,15 +159,16 @@ def simulate(ground_truth: GroundTruth, rate: float = RATE) -> list[Array]:
     if not (np.all(np.isfinite(q)) and np.all(np.abs(v) < MAX_SPEED)):
         raise SimulationDiverged(f"case {ground_truth.case} of seed {ground_truth.seed}: the simulation diverged")
     sensors = sensor_settings(model.effects, robot.joint_names)
-    clean = []
+    clean, motion, steps_at = [], [], np.asarray(dt * np.arange(q.shape[1]), dtype=np.float64)
     for k, trial in enumerate(ground_truth.trials):
+        motion.append(along(trial.time, steps_at, np.concatenate([q[k], v[k]], axis=1)))
         seen = np.empty((len(trial.time), q.shape[2]))
         for j, sensor in enumerate(sensors):
             column = np.empty(len(trial.time))
             sample(q[k, :, j].copy(), v[k, :, j].copy(), 0.0, dt, sensor, np.array(trial.time), column)
             seen[:, j] = column
         clean.append(seen)
-    return clean
+    return Driven(ground_truth, clean, motion)
 
 
 def _run(

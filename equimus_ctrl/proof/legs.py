@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Any, Literal
 
 import numpy as np
 
 from equimus_ctrl.effects.base import Effect
+from equimus_ctrl.engines.predict import robot_as_noted
 from equimus_ctrl.models.model import Model, nominal_model
-from equimus_ctrl.proof.designs import DURATION, TRIALS, design
+from equimus_ctrl.proof.chirps import leg_chirps
+from equimus_ctrl.proof.designs import DURATION, TRIALS, design, sample_times
 from equimus_ctrl.proof.drawing import (
     ALIKE_SHARE,
     DESIGN,
     REST,
-    CaseSource,
     Draws,
     Excess,
     GroundTruth,
@@ -23,8 +25,9 @@ from equimus_ctrl.proof.drawing import (
     draw_case,
     stream,
 )
-from equimus_ctrl.proof.leg_simulation import RATE, recordings, simulate
+from equimus_ctrl.proof.leg_simulation import RATE, driven, recordings
 from equimus_ctrl.proof.sizes import leg_table
+from equimus_ctrl.proof.sources import CaseSource, Driven
 from equimus_ctrl.proof.strength import excess
 from equimus_ctrl.robots.elastic.leg import nominal_leg
 from equimus_ctrl.types import Array, Recording
@@ -37,6 +40,9 @@ NOISE = (1e-3, 3e-3)
 CORRELATION = (5e-3, 80e-3)
 """Correlation time of coloured noise [s]."""
 
+Excitation = Literal["rich", "poor"]
+"""Of trials: steps, staircases, multisines and releases over the whole workspace; or small chirps."""
+
 
 @dataclass(frozen=True, eq=False)
 class Legs(CaseSource):
@@ -46,11 +52,13 @@ class Legs(CaseSource):
         trials: how many of each case.
         duration: of each [s].
         rate: physics steps a second.
+        excitation: how much the trials show.
     """
 
     trials: int = TRIALS
     duration: float = DURATION
     rate: float = RATE
+    excitation: Excitation = "rich"
 
     @property
     def nominal(self) -> Model:
@@ -63,11 +71,19 @@ class Legs(CaseSource):
     def draw(self, seed: int, case: int, kind: Kind | None = None, attempt: int = 0) -> GroundTruth:
         leg = nominal_leg()
         bias = stream(seed, case, REST).uniform(-0.8, 0.8, (self.trials, len(leg.joints) + len(leg.actuators)))
-        designs = design(stream(seed, case, DESIGN), self.trials, self.duration)
+        trials = leg_chirps if self.excitation == "poor" else design
+        designs = trials(stream(seed, case, DESIGN), self.trials, self.duration)
         return draw_case(leg_draws(), designs, bias, seed, case, kind, attempt)
 
-    def simulate(self, ground_truth: GroundTruth) -> tuple[GroundTruth, list[Array]]:
-        return ground_truth, simulate(ground_truth, self.rate)
+    def driven(self, ground_truth: GroundTruth) -> Driven:
+        # What notes say is known to be different is so of all trials that are driven side by side.
+        (notes,) = {tuple(sorted(trial.notes.items())) for trial in ground_truth.trials}
+        robot = robot_as_noted(ground_truth.robot, ground_truth.trials[0].name, dict(notes))
+        found = driven(replace(ground_truth, robot=robot), self.rate)
+        return replace(found, ground_truth=ground_truth)
+
+    def sample_times(self, rng: np.random.Generator, duration: float, rate: float) -> Array:
+        return sample_times(rng, duration)
 
     def recorded(self, ground_truth: GroundTruth, clean: Sequence[Array]) -> list[Recording]:
         return recordings(ground_truth, clean)
@@ -76,6 +92,9 @@ class Legs(CaseSource):
         self, ground_truth: GroundTruth, clean: Sequence[Array], effects: Sequence[Effect] = (), refit: bool = True
     ) -> Excess:
         return excess(ground_truth, clean, effects, refit)
+
+    def made_of(self) -> dict[str, Any]:
+        return {"excitation": self.excitation}
 
 
 def draw(

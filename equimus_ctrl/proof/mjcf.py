@@ -21,10 +21,20 @@ from equimus_ctrl.errors import ConfigError
 from equimus_ctrl.identification.segments import Segment
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.proof.designs import TrialDesign
-from equimus_ctrl.proof.drawing import ALIKE_SHARE, CaseSource, Draws, Excess, GroundTruth, Kind, Site, draw_case, noise
-from equimus_ctrl.proof.mjcf_simulation import FINER, mjcf_excess, mjcf_recordings, simulate_mjcf_truth
+from equimus_ctrl.proof.drawing import (
+    ALIKE_SHARE,
+    Draws,
+    Excess,
+    GroundTruth,
+    Kind,
+    Site,
+    draw_case,
+    noise,
+)
+from equimus_ctrl.proof.mjcf_simulation import FINER, driven_mjcf, mjcf_excess, mjcf_recordings
 from equimus_ctrl.proof.seal import digest
 from equimus_ctrl.proof.sizes import Table, measured_by, mjcf_table
+from equimus_ctrl.proof.sources import CaseSource, Driven
 from equimus_ctrl.proof.tracking import Tracking
 from equimus_ctrl.robots.mjcf.robot import mjcf_of
 from equimus_ctrl.types import Array, Recording
@@ -114,8 +124,12 @@ class Experiment(CaseSource):
         }
         return replace(found, scales=scales)
 
-    def simulate(self, ground_truth: GroundTruth) -> tuple[GroundTruth, list[Array]]:
-        return simulate_mjcf_truth(ground_truth, self.tracking)
+    def driven(self, ground_truth: GroundTruth) -> Driven:
+        return driven_mjcf(ground_truth, self.tracking)
+
+    @property
+    def open_loop(self) -> Experiment:
+        return replace(self, track=None)
 
     def recorded(self, ground_truth: GroundTruth, clean: Sequence[Array]) -> list[Recording]:
         return mjcf_recordings(ground_truth, clean, noise(ground_truth))

@@ -8,7 +8,7 @@ evaluates the rest in machine code at the start of its own, longer steps. Dry fr
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 
 import casadi as ca
 import mujoco
@@ -33,8 +33,9 @@ from equimus_ctrl.identification.noise import JointNoise
 from equimus_ctrl.identification.simulators import Simulator
 from equimus_ctrl.models.buffered import Buffered
 from equimus_ctrl.models.model import Model
-from equimus_ctrl.proof.drawing import Excess, GroundTruth, recordings_of
+from equimus_ctrl.proof.drawing import Excess, GroundTruth, along, recordings_of
 from equimus_ctrl.proof.outside import Motion, MotionEffect
+from equimus_ctrl.proof.sources import Driven
 from equimus_ctrl.proof.strength import rounded
 from equimus_ctrl.proof.tracking import Tracking
 from equimus_ctrl.quiet import quietly
@@ -57,16 +58,22 @@ class Done:
     Attributes:
         shown: (n, nj) by sensors without noise [rad or m].
         command: (n, na) as it was given.
+        motion: (n, 2 nj) where the joints are, and their rates.
     """
 
     shown: Array
     command: Array
+    motion: Array
 
 
 def simulate_mjcf_truth(truth: GroundTruth, tracking: Sequence[Tracking] = ()) -> tuple[GroundTruth, list[Array]]:
-    """The ground truth with the commands that were given, and for each trial (n, nj) what sensors show [rad or m].
+    """The ground truth as it was driven, and for each trial (n, nj) what sensors without noise show [rad or m]."""
+    found = driven_mjcf(truth, tracking)
+    return found.ground_truth, found.shown
 
-    Without noise.
+
+def driven_mjcf(truth: GroundTruth, tracking: Sequence[Tracking] = ()) -> Driven:
+    """A ground truth on its trials.
 
     Args:
         truth: what there is.
@@ -79,7 +86,7 @@ def simulate_mjcf_truth(truth: GroundTruth, tracking: Sequence[Tracking] = ()) -
     controllers: Sequence[Tracking | None] = tracking or [None] * len(truth.trials)
     done = [_without_step(stepped, *both) for both in zip(trials_of(truth), controllers, strict=True)]
     trials = tuple(replace(trial, command=own.command) for trial, own in zip(truth.trials, done, strict=True))
-    return replace(truth, trials=trials), [own.shown for own in done]
+    return Driven(replace(truth, trials=trials), [own.shown for own in done], [own.motion for own in done])
 
 
 def _without_step(stepped: Stepped, trial: Trial, tracking: Tracking | None) -> Done:
@@ -92,7 +99,7 @@ def _without_step(stepped: Stepped, trial: Trial, tracking: Tracking | None) -> 
     while steps <= FINEST:
         fine = stepped.done(trial, steps, tracking)
         # The error of a step is of first order (Richardson, 1911).
-        found = Done(2.0 * fine.shown - coarse.shown, 2.0 * fine.command - coarse.command)
+        found = Done(*(2.0 * getattr(fine, own.name) - getattr(coarse, own.name) for own in fields(Done)))
         if tracking is not None:
             found = replace(found, command=tracking.within(found.command))
         # The remaining error is of second order: a quarter at half the step.
@@ -127,7 +134,9 @@ class Stepped:
             course, command = _follow(own, trial, self._applied, tracking)
         if course.sound < len(course.q):
             raise SimulationDiverged(f"case {self.truth.case} of seed {self.truth.seed}: the simulation diverged")
-        return Done(measured_of(own, course, trial.sample_times)[0], command)
+        steps_at: Array = course.start + course.dt * np.arange(len(course.q), dtype=np.float64)
+        motion = along(trial.sample_times, steps_at, np.concatenate([course.q, course.v], axis=1))
+        return Done(measured_of(own, course, trial.sample_times)[0], command, motion)
 
 
 def trials_of(truth: GroundTruth) -> list[Trial]:

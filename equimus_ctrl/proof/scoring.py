@@ -149,17 +149,17 @@ class Score(Short):
         seconds = self.effort.seconds
         quick = Share.among(s <= MOST_SECONDS for s in seconds)
         return (
-            _counted("false_alarms", "false alarms", t.false_alarms["all"], 0.0, MOST_FALSE_ALARMS),
-            _counted("single", "single effects right", t.single["strong"], LEAST_SINGLE),
-            _counted("single_group", "… or not distinguishable", t.group["strong"], LEAST_GROUP),
-            _counted("pair", "pairs exactly right", t.pair["strong"], LEAST_PAIR),
-            _counted("pair_group", "… or not distinguishable", t.pair_group["strong"], LEAST_PAIR),
-            _counted("outside", "outside: unexplained, placed", t.outside["strong"], LEAST_OUTSIDE),
+            counted_goal("false_alarms", "false alarms", t.false_alarms["all"], 0.0, MOST_FALSE_ALARMS),
+            counted_goal("single", "single effects right", t.single["strong"], LEAST_SINGLE),
+            counted_goal("single_group", "… or not distinguishable", t.group["strong"], LEAST_GROUP),
+            counted_goal("pair", "pairs exactly right", t.pair["strong"], LEAST_PAIR),
+            counted_goal("pair_group", "… or not distinguishable", t.pair_group["strong"], LEAST_PAIR),
+            counted_goal("outside", "outside: unexplained, placed", t.outside["strong"], LEAST_OUTSIDE),
             *self._of_all_joints,
             _median_goal("main_error", "median error, main parameters", main, 0.0, MOST_ERROR),
             _median_goal("error", "median error, all parameters", [n.error for n in estimates], 0.0, MOST_ERROR),
-            _counted("coverage", "intervals of effects hold", coverage(estimates), *COVERAGE),
-            _counted("own_coverage", "intervals of the robot hold", coverage(self.own), *COVERAGE),
+            counted_goal("coverage", "intervals of effects hold", coverage(estimates), *COVERAGE),
+            counted_goal("own_coverage", "intervals of the robot hold", coverage(self.own), *COVERAGE),
             _median_goal("heldout", "held-out error taken, median", shares, LEAST_HELD_OUT, math.inf),
             Goal("seconds", "longest diagnosis, s", max(seconds), 0.0, MOST_SECONDS, quick, (1.0, 1.0), judged=False),
         )
@@ -169,7 +169,7 @@ class Score(Short):
         """Where friction of all joints was drawn: a kind that is drawn only where it is asked for."""
         share = self.ours.all_joints["all"]
         title = "friction in all joints right"
-        return (_counted("all_joints", title, share, LEAST_ALL_JOINTS),) if share.of else ()
+        return (counted_goal("all_joints", title, share, LEAST_ALL_JOINTS),) if share.of else ()
 
     @property
     def accurate(self) -> bool:
@@ -248,7 +248,8 @@ def score(
     )
 
 
-def _counted(name: str, title: str, share: Share, low: float, high: float = 1.0) -> Goal:
+def counted_goal(name: str, title: str, share: Share, low: float, high: float = 1.0) -> Goal:
+    """A share against its goal."""
     return Goal(name, title, share.value, low, high, share, (low, high))
 
 
@@ -279,16 +280,12 @@ def _errors(estimates: Sequence[ParameterEstimate]) -> dict[str, Any]:
 def _line(case: Case) -> dict[str, Any]:
     """One case, for those who look for what went wrong."""
     answer = case.answer(OURS)
-    right = {
-        "none": answer.silent,
-        "outside": case.unexplained(OURS) and case.placed(OURS),
-    }.get(case.kind, case.exact(OURS))
     return {
         "case": case.number,
         "kind": case.kind,
         "strength": case.strength,
-        "right": right,
-        "truth": [{"effect": t["effect"], "locations": list(t["locations"])} for t in _truths(case)],
+        "right": case.right(OURS),
+        "truth": [{"effect": t["effect"], "locations": list(t["locations"])} for t in case.missing],
         "verdict": "failed" if answer.failed else case.report["verdict"],
         "named": [{"effect": f["effect"], "locations": list(f["locations"])} for f in answer.findings],
         "unexplained": [left["location"] for left in answer.unexplained],
@@ -296,10 +293,6 @@ def _line(case: Case) -> dict[str, Any]:
         **({"failed": answer.failed} if answer.failed else {}),
         **({"baselines": _others(case)} if case.baselines else {}),
     }
-
-
-def _truths(case: Case) -> list[Mapping[str, Any]]:
-    return [*case.truth["findings"], *case.truth["outside"]]
 
 
 def _others(case: Case) -> dict[str, list[str]]:

@@ -5,6 +5,10 @@
     <root>/truth/case_0007.json                   the truth, one line
     <root>/reports/case_0007.json                 what the diagnosis says
     <root>/baselines/case_0007.json               what simpler methods say
+    <root>/further/01/designs/case_0007.json      with experiments: the first designed trial more, by the report alone,
+    <root>/further/01/recordings/case_0007/…      what was recorded in it,
+    <root>/further/01/driven/case_0007.json       whether the true robot kept the limits,
+    <root>/further/01/reports/case_0007.json      and what the diagnosis says with it
 
 A case is complete when its seal is there, for that is written last.
 """
@@ -12,7 +16,7 @@ A case is complete when its seal is there, for that is written last.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -22,12 +26,13 @@ from equimus_ctrl.errors import ConfigError, SimulationDiverged
 from equimus_ctrl.executors.base import Executor
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.proof.designs import DURATION, TRIALS
-from equimus_ctrl.proof.drawing import ATTEMPTS, CaseSource, Excess, GroundTruth, Kind, findings
+from equimus_ctrl.proof.drawing import ATTEMPTS, Excess, GroundTruth, Kind, findings
 from equimus_ctrl.proof.leg_simulation import RATE
-from equimus_ctrl.proof.legs import Legs
+from equimus_ctrl.proof.legs import Excitation, Legs
 from equimus_ctrl.proof.mjcf import Experiment
 from equimus_ctrl.proof.outside import acts_on
-from equimus_ctrl.proof.seal import digest, opened, salted, seal
+from equimus_ctrl.proof.seal import canonical, digest, opened, salted, seal
+from equimus_ctrl.proof.sources import CaseSource
 from equimus_ctrl.recordings.checks import Limits
 from equimus_ctrl.recordings.folders import holds, read_text, write_folder, write_text
 from equimus_ctrl.recordings.sets import read_set
@@ -48,6 +53,7 @@ class Request:
         duration: of each trial [s].
         rate: physics steps a second.
         experiment: an MJCF robot and what is done with it, in the place of legs and of trials that are drawn.
+        excitation: how much trials of legs show.
     """
 
     root: Path
@@ -57,6 +63,7 @@ class Request:
     duration: float = DURATION
     rate: float = RATE
     experiment: Experiment | None = None
+    excitation: Excitation = "rich"
 
     @classmethod
     def of_mjcf(cls, root: Path, seed: int, kind: Kind | None, experiment: Experiment) -> Request:
@@ -68,7 +75,7 @@ class Request:
     @property
     def source(self) -> CaseSource:
         """What cases are made from."""
-        return self.experiment or Legs(self.trials, self.duration, self.rate)
+        return self.experiment or Legs(self.trials, self.duration, self.rate, self.excitation)
 
     @property
     def model(self) -> Model:
@@ -109,9 +116,25 @@ class Request:
         """The file with the case's truth."""
         return self.root / "truth" / f"case_{case:04d}.json"
 
-    def report(self, case: int) -> Path:
-        """The file with what the diagnosis says of the case."""
-        return self.root / "reports" / f"case_{case:04d}.json"
+    def report(self, case: int, more: int = 0) -> Path:
+        """The file with what the diagnosis says of the case, with so many designed trials more."""
+        return self.further(more) / "reports" / f"case_{case:04d}.json"
+
+    def further(self, number: int) -> Path:
+        """The folder of designed trials of a number, from 1 on; at 0 that of the proof."""
+        return self.root / "further" / f"{number:02d}" if number else self.root
+
+    def design(self, case: int, number: int) -> Path:
+        """The file with a designed trial."""
+        return self.further(number) / "designs" / f"case_{case:04d}.json"
+
+    def made(self, case: int, number: int) -> Path:
+        """The folder with its recording."""
+        return self.further(number) / "recordings" / f"case_{case:04d}"
+
+    def driven(self, case: int, number: int) -> Path:
+        """The file that says whether the true robot kept the limits in it."""
+        return self.further(number) / "driven" / f"case_{case:04d}.json"
 
     def baselines(self, case: int) -> Path:
         """The file with what simpler methods say of the case."""
@@ -133,6 +156,36 @@ class Made:
     seconds: float
 
 
+DRAWN = ("seed", "case", "kind", "parameters", "outside", "noise_rad", "noise_correlation_s")
+"""Of a truth what is drawn, beside its findings; the rest follows from that."""
+
+
+def redrawn(request: Request, truth: Mapping[str, Any]) -> GroundTruth:
+    """A ground truth drawn again from its seed, the same as its truth says.
+
+    Args:
+        request: that it was made from.
+        truth: its.
+
+    Raises:
+        ConfigError: where this version of the program draws another.
+    """
+    wanted = canonical(_drawn(truth))
+    for attempt in range(ATTEMPTS):
+        found = request.source.draw(request.seed, truth["case"], request.kind, attempt)
+        if canonical(_drawn(_told(found, [{} for _ in findings(found.effects)]))) == wanted:
+            return found
+    raise ConfigError(
+        f"{request.truth(truth['case'])}: this version of the program draws other robots, so no trial more can be made "
+        "with this one; expected the version that made it, or another folder"
+    )
+
+
+def _drawn(truth: Mapping[str, Any]) -> dict[str, Any]:
+    own = [{key: found[key] for key in ("effect", "locations", "parameters")} for found in truth["findings"]]
+    return {**{key: truth[key] for key in DRAWN}, "findings": own}
+
+
 def truth_of(source: CaseSource, ground_truth: GroundTruth, clean: list[Array]) -> dict[str, Any]:
     """All there is to know of a ground truth, as JSON.
 
@@ -142,21 +195,36 @@ def truth_of(source: CaseSource, ground_truth: GroundTruth, clean: list[Array]) 
     nothing = not ground_truth.effects and not ground_truth.outside
     left = source.excess(ground_truth, clean, refit=not nothing)
     found, alone_by = [], dict[str, Excess]()
-    for name, locations, parameters in findings(ground_truth.effects):
+    for name, _, _ in findings(ground_truth.effects):
         if name not in alone_by:
             others = [e for e in ground_truth.effects if e.name != name]
             alone_by[name] = source.excess(ground_truth, clean, others) if others else left
         alone = alone_by[name]
-        own = {"effect": name, "locations": locations, "parameters": parameters, "alone": alone.total}
         scales = {key: scale for (effect, key), scale in ground_truth.scales.items() if effect == name}
-        found.append({**own, **({"scales": scales} if scales else {})})
+        found.append({"alone": alone.total, **({"scales": scales} if scales else {})})
+    joints = ground_truth.robot.joint_names
+    return {
+        "schema": SCHEMA,
+        **_told(ground_truth, found),
+        "trials": [trial.kind for trial in ground_truth.trials],
+        "excess": left.total,
+        "excess_joints": dict(zip(joints, left.joints, strict=True)),
+        "refitted": left.parameters,
+    }
+
+
+def _told(ground_truth: GroundTruth, more: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+    """What was drawn, as JSON, with more that is known of each finding."""
+    joints = ground_truth.robot.joint_names
+    found = [
+        {"effect": name, "locations": locations, "parameters": parameters, **own}
+        for (name, locations, parameters), own in zip(findings(ground_truth.effects), more, strict=True)
+    ]
     beyond = [
         {"effect": e.name, "locations": acts_on(e, ground_truth.robot), "parameters": e.parameters()}
         for e in ground_truth.outside
     ]
-    joints = ground_truth.robot.joint_names
     return {
-        "schema": SCHEMA,
         "seed": ground_truth.seed,
         "case": ground_truth.case,
         "kind": ground_truth.kind,
@@ -165,10 +233,6 @@ def truth_of(source: CaseSource, ground_truth: GroundTruth, clean: list[Array]) 
         "outside": beyond,
         "noise_rad": dict(zip(joints, ground_truth.noise, strict=True)),
         "noise_correlation_s": ground_truth.correlation,
-        "trials": [trial.kind for trial in ground_truth.trials],
-        "excess": left.total,
-        "excess_joints": dict(zip(joints, left.joints, strict=True)),
-        "refitted": left.parameters,
     }
 
 

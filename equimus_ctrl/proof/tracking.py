@@ -16,11 +16,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import mujoco
 import numpy as np
 from scipy.interpolate import make_smoothing_spline
 
 from equimus_ctrl.engines.mjcf_realised import realise
+from equimus_ctrl.engines.mjcf_tracking import inertia_and_gains
 from equimus_ctrl.engines.trials import Trial
 from equimus_ctrl.errors import ConfigError
 from equimus_ctrl.models.model import Model
@@ -89,7 +89,8 @@ class Tracking:
                 f"{'twenty-fourth' if linear else 'twelfth'} of the rate of {recording.name}"
             )
         splines = [make_smoothing_spline(recording.time, column) for column in recording.position.T]
-        inertia, by_command = _inertia_and_gains(model, recording)
+        own = realise(model, Trial.of(recording, recording.position[0]))
+        inertia, by_command = inertia_and_gains(own, recording.position[0])
         omega, back = 2 * np.pi * frequency, np.linalg.pinv(by_command)
         low, high = np.array([drive.range for drive in robot.actuators]).T
         return cls(
@@ -123,25 +124,3 @@ class Tracking:
         """
         own = self.stiffness @ (self.position[sample] - q) + self.damping @ (self.velocity[sample] - v)
         return self.within(self.command[sample + ahead] + own)
-
-
-def _inertia_and_gains(model: Model, recording: Recording) -> tuple[Array, Array]:
-    """(nj, nj) inertia of the joints where a recording begins, and (nj, na) torques by commands there."""
-    own = realise(model, Trial.of(recording, recording.position[0]))
-    at, dofs, drives = own.places.T
-    data = mujoco.MjData(own.mujoco)
-    data.qpos[at] = recording.position[0]
-    mujoco.mj_forward(own.mujoco, data)
-    whole, still = np.zeros((own.mujoco.nv, own.mujoco.nv)), data.qfrc_actuator[drives].copy()
-    mujoco.mj_fullM(own.mujoco, data, whole)
-    columns = []
-    for drive in own.robot.actuators:
-        some = 1.0 if drive.range[1] > 0 else -1.0
-        some = float(np.clip(some, *drive.range))
-        commands = data.ctrl if drive.state is None else data.act
-        place = drive.control if drive.state is None else drive.state
-        commands[place] = some
-        mujoco.mj_forward(own.mujoco, data)
-        columns.append((data.qfrc_actuator[drives] - still) / some)
-        commands[place] = 0.0
-    return np.asarray(whole[np.ix_(dofs, dofs)]), np.column_stack(columns)

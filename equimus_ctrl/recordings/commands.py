@@ -4,6 +4,10 @@ Other columns do not count, so that a recording's commands can be played as they
 recording: ``before.cmd.<actuator>``, ``interpolation = linear``, and what is known to be different (``set.…``,
 ``times.…``, ``payload.…``). ``start.pos.<joint> = 0.2`` (of all joints or none) says where the robot begins at rest
 [rad or m]; without, it begins where it rests under the command before the first row.
+
+Where joints are to track references, ``ref.<joint>`` of all joints says where they are to be, ``cmd.<actuator>`` is fed
+forward, and notes have the law of the feedback (``types.FeedbackLaw``): ``track.smoothing`` [s],
+``track.stiffness.<actuator>.<joint>`` and ``track.damping.<actuator>.<joint>``; what is not there is 0.
 """
 
 from __future__ import annotations
@@ -15,13 +19,15 @@ from pathlib import Path
 
 import numpy as np
 
-from equimus_ctrl.errors import RecordingError, unknown_name
+from equimus_ctrl.errors import ConfigError, RecordingError, unknown_name
 from equimus_ctrl.recordings.checks import Limits
 from equimus_ctrl.recordings.csvfile import BEFORE, replacing, stated_notes
 from equimus_ctrl.recordings.sheet import PathLike, Sheet, open_sheet, shorten
-from equimus_ctrl.types import Array, frozen_array
+from equimus_ctrl.types import Array, FeedbackLaw, frozen_array
 
-COMMAND, START = "cmd.", "start.pos."
+COMMAND, REFERENCE, START = "cmd.", "ref.", "start.pos."
+TRACK = "track."
+STIFFNESS, DAMPING, SMOOTHING = f"{TRACK}stiffness.", f"{TRACK}damping.", f"{TRACK}smoothing"
 DIFFERENT = ("set.", "times.", "payload.")
 """What notes begin with that say what is known to be different in the trial."""
 
@@ -37,6 +43,12 @@ class CommandFile:
         position: (nj,) where the robot begins at rest [rad or m]; None where it rests under ``before``.
         linear: whether commands go along a line from each row to the next, in place of being held.
         different: notes that say what is known to be different in the trial.
+        reference: (n, nj) where joints are to be [rad or m]; None where commands are played as they are. Between rows
+            it goes along lines, and so does what is fed forward.
+        law: by which they track it; commands are fed forward then.
+
+    Raises:
+        ConfigError: for a reference without a law, or a law without a reference.
     """
 
     times: Array
@@ -45,6 +57,12 @@ class CommandFile:
     position: Array | None = None
     linear: bool = False
     different: Mapping[str, str] = field(default_factory=dict)
+    reference: Array | None = None
+    law: FeedbackLaw | None = None
+
+    def __post_init__(self) -> None:
+        if (self.reference is None) != (self.law is None):
+            raise ConfigError("a reference of joints is tracked by a feedback law, expected both or none")
 
 
 def read_commands(
@@ -71,8 +89,13 @@ def read_commands(
     for column in sheet.header:
         if column.startswith(COMMAND) and column not in columns:
             raise sheet.header_error(unknown_name("actuator", column.removeprefix(COMMAND), actuators))
-    numbers = sheet.numbers(columns)
-    times, values = numbers[:, 0], numbers[:, 1:]
+    law = _law(sheet, actuators, joints)
+    wanted = [] if law is None else [f"{REFERENCE}{name}" for name in joints]
+    for column in wanted:
+        if column not in sheet.header:
+            raise sheet.header_error(f"there is no column {column!r}, though notes {TRACK}… say how it is tracked")
+    numbers = sheet.numbers([*columns, *wanted])
+    times, values, reference = numbers[:, 0], numbers[:, 1 : len(columns)], numbers[:, len(columns) :]
     if len(times) < 2:
         raise sheet.error(0, "time", "this is the only row; expected two or more, the last where the commands end")
     late = np.flatnonzero(np.diff(times) <= 0)
@@ -100,7 +123,42 @@ def read_commands(
         _start(sheet, notes, joints),
         notes.get("interpolation") == "linear",
         {key: text for key, text in notes.items() if key.startswith(DIFFERENT)},
+        None if law is None else frozen_array(reference),
+        law,
     )
+
+
+def _law(sheet: Sheet, actuators: Sequence[str], joints: Sequence[str]) -> FeedbackLaw | None:
+    """The law that notes say; None where they say none."""
+    found = {STIFFNESS: np.zeros((len(actuators), len(joints))), DAMPING: np.zeros((len(actuators), len(joints)))}
+    smoothing, said = 0.0, False
+    places = {f"{a}.{j}": (i, k) for i, a in enumerate(actuators) for k, j in enumerate(joints)}
+    for line, text in sheet.notes:
+        key, _, number = (part.strip() for part in text.partition("="))
+        if not key.startswith(TRACK):
+            continue
+        said, where = True, f"{sheet.path}, row {line}: note {key}"
+        try:
+            value = float(number)
+        except ValueError:
+            value = math.nan
+        if not math.isfinite(value):
+            raise RecordingError(f"{where} is {shorten(number)}, expected a finite number")
+        if key == SMOOTHING:
+            smoothing = value
+            continue
+        prefix = next((own for own in found if key.startswith(own)), None)
+        if prefix is None:
+            raise RecordingError(unknown_name("note", key, [SMOOTHING, STIFFNESS + "ACTUATOR.JOINT"], str(sheet.path)))
+        if (place := key.removeprefix(prefix)) not in places:
+            raise RecordingError(unknown_name("actuator and joint", place, places, where))
+        found[prefix][places[place]] = value
+    if not said:
+        return None
+    try:
+        return FeedbackLaw(found[STIFFNESS], found[DAMPING], smoothing)
+    except ConfigError as error:
+        raise RecordingError(f"{sheet.path}: {error}") from None
 
 
 def _start(sheet: Sheet, notes: Mapping[str, str], joints: Sequence[str]) -> Array | None:
@@ -145,8 +203,22 @@ def write_commands(path: PathLike, actuators: Sequence[str], found: CommandFile,
         notes |= {f"{START}{name}": repr(value) for name, value in zip(joints, found.position.tolist(), strict=True)}
     if found.linear:
         notes["interpolation"] = "linear"
+    header, columns = ["time", *(f"{COMMAND}{name}" for name in actuators)], [found.times, found.values]
+    if found.law is not None and found.reference is not None:
+        notes |= _notes_of(found.law, actuators, joints)
+        header += [f"{REFERENCE}{name}" for name in joints]
+        columns.append(found.reference)
     with replacing(Path(path)) as file:
         file.writelines(f"# {key} = {text}\n" for key, text in notes.items())
-        file.write(",".join(["time", *(f"{COMMAND}{name}" for name in actuators)]) + "\n")
-        rows = np.column_stack([found.times, found.values])
+        file.write(",".join(header) + "\n")
+        rows = np.column_stack(columns)
         file.writelines(",".join(map(repr, row)) + "\n" for row in rows.tolist())
+
+
+def _notes_of(law: FeedbackLaw, actuators: Sequence[str], joints: Sequence[str]) -> dict[str, str]:
+    """Notes that say a law."""
+    notes = {SMOOTHING: repr(law.smoothing)}
+    for prefix, matrix in ((STIFFNESS, law.stiffness), (DAMPING, law.damping)):
+        for actuator, row in zip(actuators, matrix.tolist(), strict=True):
+            notes |= {f"{prefix}{actuator}.{j}": repr(v) for j, v in zip(joints, row, strict=True) if v != 0.0}
+    return notes

@@ -51,14 +51,16 @@ def _signals(axes: Axes, check: CheckResult) -> list[Artist]:
     """Travel, noise and step of each joint, largest over the recordings, on one logarithmic scale."""
     names = check.model.robot.joint_names
     kinds = (("travel", "o", style.INK), ("noise", "D", style.joint_colour(0)), ("sensor step", "|", style.ALERT))
+    drawn = set()
     for j in range(len(names)):
         own = [signals.joints[j] for signals in check.signals]
         noise = math.sqrt(sum(joint.noise**2 for joint in own) / len(own))
         values = (max(joint.travel for joint in own), noise, max(joint.step for joint in own))
         low, high = noise, max(values[0], noise)
         axes.plot([1e3 * low, 1e3 * high], [j, j], color=style.GRID, linewidth=4, solid_capstyle="butt", zorder=1)
-        for value, (_, marker, colour) in zip(values, kinds, strict=True):
+        for value, (kind, marker, colour) in zip(values, kinds, strict=True):
             if value > 0:
+                drawn.add(kind)
                 axes.plot(1e3 * value, j, marker, color=colour, markersize=9 if marker == "|" else 6, zorder=3)
     axes.set_xscale("log")
     axes.set_yticks(range(len(names)), names)
@@ -70,6 +72,7 @@ def _signals(axes: Axes, check: CheckResult) -> list[Artist]:
     return [
         Line2D([], [], linestyle="", marker=marker, color=colour, markersize=7, label=label)
         for label, marker, colour in kinds
+        if label in drawn
     ]
 
 
@@ -87,7 +90,7 @@ def _parameters(axes: Axes, known: Information) -> None:
             axes.text(100 * low, k, "not identifiable", va="center", fontsize=style.SMALL_SIZE, color=style.ALERT)
             continue
         axes.plot([100 * alone, 100 * share], [k, k], color=style.GRID, linewidth=4, solid_capstyle="butt", zorder=1)
-        axes.plot(100 * share, k, "o", color=style.joint_colour(2), markersize=6, zorder=3)
+        axes.plot(100 * share, k, "o", color=style.INK, markersize=6, zorder=3)
         axes.plot(100 * alone, k, "|", color=style.FAINT, markersize=9, zorder=2)
     axes.set_xscale("log")
     axes.set_xlim(100 * low / 2, 100 * high * 2)
@@ -116,9 +119,10 @@ def _by_effect(known: Information) -> dict[str, list[EffectInformation]]:
 
 def _effects(axes: Axes, effects: dict[str, list[EffectInformation]]) -> list[Artist]:
     """Smallest detectable sizes as shares of what they compare with, a row an effect, a colour a place."""
-    places = list(dict.fromkeys(own.smallest.named.locations[0] for rows in effects.values() for own in rows))
+    drawn = [own for rows in effects.values() for own in rows if own.possible and own.share > 0]
+    places = list(dict.fromkeys(own.smallest.named.locations[0] for own in drawn))
     colours = (*style.JOINT_COLOURS, *style.ACTUATOR_COLOURS)
-    values = [own.share for rows in effects.values() for own in rows if own.possible and own.share > 0]
+    values = [own.share for own in drawn]
     low, high = (min(values), max(values)) if values else (1e-4, 1.0)
     for k, rows in enumerate(effects.values()):
         shown = [own for own in rows if own.possible and own.share > 0]

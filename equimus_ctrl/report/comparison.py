@@ -186,6 +186,7 @@ def _errors(found: Comparison) -> Figure:
             panel.yaxis.set_major_formatter(PLAIN)
             panel.yaxis.set_minor_locator(NullLocator())
             panel.set_xticks(np.arange(len(conditions)), conditions, rotation=25, ha="right", fontsize=style.SMALL_SIZE)
+            panel.tick_params(labelbottom=row == len(names) - 1)
             alone = len(set(units)) > 1 or j == 0
             style.dress(panel, title=f"{name}, {joint}", y=f"RMSE [{SMALL[units[j]]}]" if alone else "")
             panel.grid(False, axis="x")

@@ -23,6 +23,8 @@ MOST_DRAWN = 4
 """Explanations that are drawn beside each other; of more the first ones."""
 LONGEST_LABEL = 60
 """Characters of an explanation in a legend."""
+LEAST_SPAN = 6.0
+"""Standard deviations of the noise that an axis shows at least: less than the noise is not seen."""
 LEAST_GAP = 1e-2
 """Gaps are drawn from there on."""
 
@@ -47,34 +49,39 @@ def design_drawings(found: Designed) -> style.Drawings:
 
 
 def commands_figure(found: Designed) -> Figure:
-    """A panel of each actuator's command, with its limits."""
+    """A panel of each actuator's command, or of each joint's reference, with its limits."""
     robot, own, limits = found.rivals.model.robot, found.commands, found.limits
-    na = len(robot.actuator_names)
+    names, units, ends = robot.actuator_names, robot.command_units, (limits.command_low, limits.command_high)
+    what, limit, linear = "commands", "limit of the command", found.rivals.linear
+    if tracked := own.reference is not None:
+        names, units, linear = robot.joint_names, robot.joint_units, True
+        ends = limits.joint_low + limits.joint_margin, limits.joint_high - limits.joint_margin
+        what, limit = "references that joints track", "limit of the joint, less its margin"
+    na = len(names)
     rows, columns = grid_of(na)
     under = f" under {found.condition.text}" if found.condition.text else ""
     figure = style.new_figure(
-        WIDTH * (1 + 0.4 * (columns - 1)), 1.1 + 1.9 * rows, f"Designed commands: {found.family}{under}"
+        WIDTH * (1 + 0.4 * (columns - 1)), 1.1 + 1.9 * rows, f"Designed {what}: {found.family}{under}"
     )
     panels = figure.subplots(rows, columns, sharex=True, squeeze=False)
-    for i, name in enumerate(robot.actuator_names):
-        axes, shown = panels[divmod(i, columns)], reading(robot.command_units[i])
+    for i, name in enumerate(names):
+        axes, shown = panels[divmod(i, columns)], reading(units[i])
         style.dress(
             axes, y=f"{name} [{shown.unit}]" if shown.unit else name,
             x="time [s]" if i + columns >= na else "",
         )  # fmt: skip
-        draw = axes.plot if found.rivals.linear else axes.step
-        more = {} if found.rivals.linear else {"where": "post"}
-        draw(own.times, own.commands[:, i] * shown.factor, color=style.actuator_colour(i), lw=style.RUN_WIDTH, **more)
+        draw = axes.plot if linear else axes.step
+        more = {} if linear else {"where": "post"}
+        colour = style.joint_colour(i) if tracked else style.actuator_colour(i)
+        draw(own.times, own.course[:, i] * shown.factor, color=colour, lw=style.RUN_WIDTH, **more)
         low, high = axes.get_ylim()
-        for edge in (limits.command_low[i] * shown.factor, limits.command_high[i] * shown.factor):
+        for edge in (ends[0][i] * shown.factor, ends[1][i] * shown.factor):
             if low - (high - low) < edge < high + (high - low):
                 axes.axhline(edge, color=style.FAINT, linewidth=style.REFERENCE_WIDTH, linestyle=style.DASHES)
         axes.set_xlim(0, own.duration)
     drop(panels[-1:], rows * columns - na)
     figure.align_ylabels()
-    style.legend_below(
-        figure, [Line2D([], [], color=style.FAINT, linestyle=style.DASHES, label="limit of the command")]
-    )
+    style.legend_below(figure, [Line2D([], [], color=style.FAINT, linestyle=style.DASHES, label=limit)])
     return figure
 
 
@@ -99,6 +106,8 @@ def predictions_figure(found: Designed, own: Forecast) -> Figure:
         style.dress(left, title=f"{name}: prediction, 90 % of parameters", y=f"{name} [{shown.unit}]", x=last)
         style.dress(right, title=f"{name}: left after refitting", y="over the noise", x=last)
         left.set_xlim(0, found.commands.duration)
+        _at_least(left, LEAST_SPAN * own.sigma[j] * shown.factor)
+        _at_least(right, LEAST_SPAN)
     figure.align_ylabels()
     handles: list[Artist] = [
         Line2D([], [], color=style.joint_colour(k), label=_label(named(rivals[k]))) for k in range(drawn)
@@ -144,6 +153,14 @@ def power_figure(found: Designed) -> Figure:
     ]  # fmt: skip
     style.legend_below(figure, handles)
     return figure
+
+
+def _at_least(axes: Axes, span: float) -> None:
+    """Have the vertical axis span so much."""
+    low, high = axes.get_ylim()
+    if high - low < span:
+        middle = (low + high) / 2
+        axes.set_ylim(middle - span / 2, middle + span / 2)
 
 
 def _label(text: str) -> str:

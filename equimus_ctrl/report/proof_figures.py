@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from pathlib import Path
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -30,11 +29,6 @@ LOOK = {
     "validation": (style.JOINT_COLOURS[3], "D"),
 }
 SIDES = {"command": style.JOINT_COLOURS[0], "force": style.JOINT_COLOURS[1], "measurement": style.JOINT_COLOURS[2]}
-
-
-def save_proof_figures(score: Score, folder: Path) -> list[Path]:
-    """Write confusion, power, false_alarms, parameters, coverage and heldout as PNG."""
-    return style.save_all(proof_drawings(score), folder)
 
 
 def proof_drawings(score: Score) -> style.Drawings:
@@ -79,7 +73,7 @@ def confusion_figure(score: Score) -> Figure:
     for i, j in np.argwhere(right):
         axes.add_patch(_box(float(j), float(i)))
     for i, j in np.argwhere(counts > 0):
-        colour = "white" if right[i, j] and shares[i, j] > 0.55 else style.INK
+        colour = "white" if shares[i, j] > 0.55 else style.INK
         text = f"{counts[i, j]:.3g}"
         axes.text(j, i, text, ha="center", va="center", fontsize=style.SMALL_SIZE, color=colour, zorder=3)
     axes.set_xticks(range(len(columns)), [c.replace("_", " ") for c in columns], rotation=50, ha="left")
@@ -99,7 +93,7 @@ def _box(x: float, y: float) -> Patch:
 
 def power_figure(score: Score) -> Figure:
     """How often each method is right over how strong the missing physics is."""
-    figure = style.new_figure(13.0, 7.6, "Right answers against the strength of what is missing")
+    figure = style.new_figure(13.0, 7.6, "Right answers against excess residual variance")
     grid = figure.subplots(2, 2, sharex=True, sharey=True).ravel()
     panels: Sequence[tuple[str, str]] = (
         ("single", "one effect of the catalogue: exactly named"),
@@ -117,10 +111,10 @@ def power_figure(score: Score) -> Figure:
         axes.set_ylim(-3, 103)
         style.dress(axes, title=title)
     for axes in grid[2:]:
-        axes.set_xlabel("excess residual variance over the noise's, without the effect", fontsize=style.TEXT_SIZE)
+        axes.set_xlabel("excess residual variance without the effect", fontsize=style.TEXT_SIZE)
     for axes in grid[::2]:
         axes.set_ylabel("share of the cases [%]", fontsize=style.TEXT_SIZE)
-    counts = Patch(color=style.SHADE, label=f"excess {STRONG:g} and more: what the goals judge")
+    counts = Patch(color=style.SHADE, label=f"{STRONG:g} and more: what the goals judge")
     style.legend_below(figure, [*_legend(score), counts])
     return figure
 
@@ -169,7 +163,7 @@ def false_alarms_figure(score: Score) -> Figure:
         axes.bar(x, heights, width=0.7 / count, color=colour, alpha=0.75, zorder=2)
         known = [(place, s) for place, s in zip(x, shares, strict=True) if s.of]
         if known:
-            _with_bars(axes, [p for p, _ in known], [s for _, s in known], style.INK, "")
+            _with_bars(axes, [p for p, _ in known], [s for _, s in known], style.INK, "o")
     axes.axhline(100 * MOST_FALSE_ALARMS, color=style.ALERT, linestyle=style.DASHES, linewidth=1.2, zorder=4)
     estimates = [score.ours.false_alarms[g].of for g in groups]
     names = ("all", "white noise", "coloured noise")

@@ -73,20 +73,21 @@ def sheets(score: Score) -> list[Sheet]:
     return [goals_sheet(score), strength_sheet(score), effects_sheet(score), estimates_sheet(score), wrong_sheet(score)]
 
 
-def markdown(head: Mapping[str, Any], score: Score) -> str:
+def markdown(head: Mapping[str, Any], score: Score, first: Sequence[Sheet] = ()) -> str:
     """All of it as one file.
 
     Args:
         head: what the proof was made from, line by line.
         score: what it came to.
+        first: tables before those of the score.
     """
     parts = ["# Blinded ground truths", "", *(f"- {key}: {value}" for key, value in head.items()), ""]
-    return "\n".join([*parts, *(sheet.markdown() for sheet in sheets(score))])
+    return "\n".join([*parts, *(sheet.markdown() for sheet in (*first, *sheets(score)))])
 
 
 def goals_sheet(score: Score) -> Sheet:
     """Every figure against its goal, and what else there is to know in one line each."""
-    rows = [(g.title, _value(g), _interval(g), _wanted(g), g.state) for g in score.goals]
+    rows = [(g.title, goal_value(g), goal_interval(g), goal_wanted(g), g.state) for g in score.goals]
     t, effort = score.ours, score.effort
     more: list[tuple[str, str, str]] = [
         ("false alarms, white noise", *_shown(t.false_alarms["white"])),
@@ -112,7 +113,8 @@ def goals_sheet(score: Score) -> Sheet:
     )
 
 
-def _value(goal: Goal) -> str:
+def goal_value(goal: Goal) -> str:
+    """What was reached."""
     if math.isnan(goal.value):
         return NOTHING
     if goal.name == "seconds":
@@ -120,12 +122,14 @@ def _value(goal: Goal) -> str:
     return str(goal.share) if goal.value == goal.share.value else f"{100 * goal.value:.1f} % (n = {goal.share.of})"
 
 
-def _interval(goal: Goal) -> str:
+def goal_interval(goal: Goal) -> str:
+    """Its 95 % interval, where it is a share."""
     counted = goal.value == goal.share.value and goal.name != "seconds"
-    return _ends(goal.share) if counted and goal.share.of else ""
+    return ends_of(goal.share) if counted and goal.share.of else ""
 
 
-def _wanted(goal: Goal) -> str:
+def goal_wanted(goal: Goal) -> str:
+    """What is wanted."""
     if goal.name == "seconds":
         return f"≤ {goal.high:g}"
     low, high = 100 * goal.low, 100 * goal.high
@@ -134,13 +138,14 @@ def _wanted(goal: Goal) -> str:
     return f"≥ {low:g} %" if goal.low > 0 else f"≤ {high:g} %"
 
 
-def _ends(share: Share) -> str:
+def ends_of(share: Share) -> str:
+    """The 95 % interval of a share."""
     low, high = share.interval
     return f"{100 * low:.3g} to {100 * high:.3g} %"
 
 
 def _shown(share: Share) -> tuple[str, str]:
-    return str(share), _ends(share) if share.of else ""
+    return str(share), ends_of(share) if share.of else ""
 
 
 def _short(share: Share) -> str:

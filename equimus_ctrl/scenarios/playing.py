@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from equimus_ctrl.controllers.tracking import TrackingController
 from equimus_ctrl.engines.predict import robot_as_noted
 from equimus_ctrl.engines.rest import rest_pose, rest_poses
 from equimus_ctrl.errors import ConfigError, ModelError, NotAvailable
@@ -39,6 +40,15 @@ def begins(context: ScenarioContext, file: str, own: CommandFile) -> Array:
             f"{file}: {error}; expected a first command under which it rests, or notes start.pos.JOINT that say where "
             "it begins"
         ) from None
+
+
+def tracked(own: CommandFile) -> TrackingController | None:
+    """What has joints track the reference of a file; None where commands are played as they are."""
+    if own.law is None or own.reference is None:
+        return None
+    return TrackingController(
+        own.law, SampledReference(own.times, own.reference), SampledReference(own.times, own.values)
+    )  # fmt: skip
 
 
 def resting(context: ScenarioContext, profile: CommandProfile, first: Array, most: int) -> Reference:

@@ -18,7 +18,7 @@ from equimus_ctrl.scenarios.context import CommandProfile as CommandProfile
 from equimus_ctrl.scenarios.context import ScenarioContext as ScenarioContext
 from equimus_ctrl.scenarios.site_path import SitePath
 from equimus_ctrl.shown import Short
-from equimus_ctrl.types import Array, Recording, Reference, Start
+from equimus_ctrl.types import Array, Controller, Recording, Reference, Start
 
 OPTION = "option."
 """Before an option's name where a joint has that name too."""
@@ -69,7 +69,7 @@ class Scenario(Short):
         reference: wanted positions of the joints.
         start: where the run begins.
         commands: what ``open_loop`` plays; None means the reference's static pressures.
-        controller: the one used when none is asked for.
+        controller: the one used when none is asked for, by name or itself.
         recorded: what the real robot did, or None.
         score_window: (from, to) [s] that is scored.
         score_rate: of the grid that runs and recordings are compared on [Hz].
@@ -92,7 +92,7 @@ class Scenario(Short):
     reference: Reference
     start: Start = field(default_factory=Start)
     commands: CommandProfile | None = None
-    controller: str = "pid"
+    controller: str | Controller = "pid"
     recorded: Recording | None = None
     score_window: tuple[float, float] | None = None
     score_rate: float = 100.0

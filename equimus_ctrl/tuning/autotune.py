@@ -204,7 +204,8 @@ def best_feasible(
     nearest = min(history, key=lambda trial: trial.evaluation.cost).evaluation
     ran = ""
     if not math.isnan(nearest.overshoot):
-        ran = f"overshoots by {nearest.overshoot:.0%}, is saturated {nearest.saturation:.0%} of the time, "
+        overshoot, saturated = (f"{100 * share:.0f} %" for share in (nearest.overshoot, nearest.saturation))
+        ran = f"overshoots by {overshoot}, is saturated {saturated} of the time, "
     why = (
         f"is unstable on some {member}"
         if not nearest.stable

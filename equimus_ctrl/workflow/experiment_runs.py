@@ -135,7 +135,7 @@ class _Bench:
 
         if before is None:
             progress("first trial", 0.0)
-            commands, amplitude, excess = first_trial(self.model, limits, seed, self.options.draws)
+            commands, amplitude, excess = first_trial(self.model, limits, seed, self.options.draws, self.options.track)
             record = {"family": "multisine", "amplitude": amplitude, "nearest_to_a_limit": str(excess)}
             trial, reason, linear = FIRST, "nothing was recorded before: it moves everything", False
             pairs: tuple[Predicted, ...] = ()
@@ -328,7 +328,12 @@ def command_file(commands: Commands, linear: bool = False) -> CommandFile:
     if times[-1] < times[0] + commands.duration:
         times = np.append(times, times[0] + commands.duration)
         values = np.vstack([values, values[-1]])
-    return CommandFile(times - times[0], values, values[0], commands.start, linear, dict(commands.notes))
+    reference = commands.reference
+    if reference is not None:
+        reference = np.vstack([reference, np.tile(reference[-1], (len(times) - len(reference), 1))])
+    return CommandFile(
+        times - times[0], values, values[0], commands.start, linear, dict(commands.notes), reference, commands.law
+    )
 
 
 def _steps(bench: _Bench, steps: Sequence[Step]) -> Iterator[Step]:

@@ -64,6 +64,7 @@ def design_experiment(
         over=lambda: budget.over,
         draws=options.draws,
         noises=options.sensor_noise,
+        track=options.track,
         simulator=rivals.simulator(options.threads),
         progress=progress,
     )
@@ -188,11 +189,12 @@ def default_folder(model: Model) -> Path:
 
 
 def command_file(found: Designed) -> CommandFile:
-    """The commands of a design as a file holds them."""
+    """The commands of a design as a file holds them, or what is fed forward, the reference and the law."""
     own = found.commands
     return CommandFile(
-        own.times, own.commands, own.commands[0], own.start, found.rivals.linear, dict(found.condition.notes)
-    )
+        own.times, own.commands, own.commands[0], own.start, found.rivals.linear, dict(found.condition.notes),
+        own.reference, own.law,
+    )  # fmt: skip
 
 
 def run_command(path: Path, model_options: Sequence[str] = (), record: str = "designed") -> str:

@@ -119,7 +119,11 @@ def _(found: IdentifiedPoses) -> style.Drawings:
 def _(found: Proof) -> style.Drawings:
     from equimus_ctrl.report.proof_figures import proof_drawings
 
-    return proof_drawings(found.score)
+    if found.experiments is None:
+        return proof_drawings(found.score)
+    from equimus_ctrl.report.proof_experiments import experiment_drawings
+
+    return {**experiment_drawings(found.experiments), **proof_drawings(found.score)}
 
 
 @drawings.register

@@ -18,8 +18,9 @@ from equimus_ctrl.errors import ConfigError
 from equimus_ctrl.executors.versions import mismatch, processor, versions, warn_of_mix
 from equimus_ctrl.options import ProveOptions, Shard
 from equimus_ctrl.proof import blind
+from equimus_ctrl.proof.further import trial_name
 from equimus_ctrl.proof.store import Request
-from equimus_ctrl.recordings.folders import copy, copy_folder, texts
+from equimus_ctrl.recordings.folders import copy, copy_folder, holds, read_text, texts
 
 SCHEMA = "equimus-ctrl/proof-shard/1"
 SAID = 5
@@ -31,14 +32,17 @@ def shard_name(name: str, shard: Shard | None) -> str:
     return name if shard is None else f"{name}_{shard.index}_of_{shard.of}"
 
 
-def note_shard(request: Request, shard: Shard, cases: int, baselines: bool, seal: str) -> None:
+def note_shard(request: Request, options: ProveOptions, baselines: bool, seal: str) -> None:
     """Write that a shard is done."""
+    shard = options.shard
+    assert shard is not None
     record = {
         "schema": SCHEMA,
         "shard": shard.index,
         "of": shard.of,
-        "cases": cases,
+        "cases": options.cases,
         "baselines": baselines,
+        "experiments": options.experiments,
         "seal": seal,
         "fingerprint": blind.report_fingerprint(),
         "versions": versions(),
@@ -71,6 +75,10 @@ def merge_shards(request: Request, options: ProveOptions, baselines: bool) -> No
                 )
             if baselines and not record["baselines"]:
                 raise ConfigError(f"{folder}: shard {shard} has no answers of the baselines; expected --no-baselines")
+            if (made := record.get("experiments", 0)) < options.experiments:
+                raise ConfigError(
+                    f"{folder}: shard {shard} has {made} designed trials of each case; expected --experiments {made}"
+                )
             if record["fingerprint"] != blind.report_fingerprint():
                 raise ConfigError(
                     f"{folder}: shard {shard} was diagnosed by another version of the program; expected shards of the "
@@ -92,15 +100,23 @@ def merge_shards(request: Request, options: ProveOptions, baselines: bool) -> No
         )
     for case, folder in sorted(owner.items()):
         if folder.resolve() != request.root.resolve():
-            _copy_case(Request(folder, request.seed), request, case, baselines)
+            _copy_case(Request(folder, request.seed), request, case, baselines, options.experiments)
 
 
-def _copy_case(source: Request, target: Request, case: int, baselines: bool) -> None:
+def _copy_case(source: Request, target: Request, case: int, baselines: bool, experiments: int) -> None:
     copy_folder(source.recordings(case), target.recordings(case))
     copy(source.truth(case), target.truth(case))
     copy(source.report(case), target.report(case))
     if baselines:
         copy(source.baselines(case), target.baselines(case))
+    for number in range(1, experiments + 1):  # what ended sooner has fewer
+        if holds(source.made(case, number), [trial_name(number)]):
+            copy_folder(source.made(case, number), target.made(case, number))
+        own = (source.design(case, number), source.driven(case, number), source.report(case, number))
+        theirs = (target.design(case, number), target.driven(case, number), target.report(case, number))
+        for path, copied in zip(own, theirs, strict=True):
+            if read_text(path) is not None:
+                copy(path, copied)
     copy(source.seal(case), target.seal(case))  # last: with it the case is complete
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -13,23 +12,26 @@ from typing import TYPE_CHECKING, Any, cast
 import numpy as np
 
 from equimus_ctrl import presets
-from equimus_ctrl.errors import ConfigError, EquimusError
+from equimus_ctrl.errors import ConfigError
 from equimus_ctrl.executors.base import Executor
 from equimus_ctrl.executors.calls import Ended
 from equimus_ctrl.frames import dataframe
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.options import ProveOptions, Shard, with_changes
-from equimus_ctrl.proof import blind
+from equimus_ctrl.proof import blind, chirps
 from equimus_ctrl.proof.designs import DURATION, TRIALS
 from equimus_ctrl.proof.drawing import Kind
 from equimus_ctrl.proof.mjcf import Experiment, require_bare_mjcf
-from equimus_ctrl.proof.scoring import Score, score
+from equimus_ctrl.proof.resolved import Resolved
+from equimus_ctrl.proof.scoring import Goal, Score, score
 from equimus_ctrl.proof.seal import seal_of_all
 from equimus_ctrl.proof.store import Request, make_cases, open_truth, recorded
 from equimus_ctrl.recordings.folders import read_text, write_text
 from equimus_ctrl.shown import Short
 from equimus_ctrl.types import Array, Recording
-from equimus_ctrl.workflow.plugins import load_plugins, plugins_digest
+from equimus_ctrl.workflow.plugins import load_plugins
+from equimus_ctrl.workflow.proof_experiments import Further, further_limits, poor_recordings_of
+from equimus_ctrl.workflow.proof_files import check_claim, claim, claimed, parsed, read_answer, require_all, wanted_of
 from equimus_ctrl.workflow.proof_shards import merge_shards, note_shard, shard_name
 from equimus_ctrl.workflow.scores import gather
 from equimus_ctrl.workflow.where import where_of
@@ -43,10 +45,6 @@ Progress = Callable[[str, int, int], None]
 """Called with the stage, how many cases are done, and how many there are."""
 Say = Callable[[str], None]
 """Called with a sentence for people."""
-HASHED = {"recordings_sha256": "other recordings", "model_sha256": "another model"}
-"""Of what the request holds hashes, and what it says where they differ."""
-UNSAID: Mapping[str, Any] = {"track_hz": None}
-"""What a request that does not say it was made with."""
 FAR, SOME = 3.0, 0.1
 """Robots that cover so many times what the recorded one does ran away; a note says so from this share of them on."""
 STAGES = ("simulating robots", "diagnosing", "scoring")
@@ -63,6 +61,7 @@ class Proof(Short):
         notes: what else a person ought to know.
         seconds: how long all of it took.
         shard: the part of the cases that it is of; None of all.
+        experiments: what designed trials came to; None where none were asked for.
     """
 
     request: Request
@@ -71,10 +70,22 @@ class Proof(Short):
     notes: tuple[str, ...]
     seconds: float
     shard: Shard | None = None
+    experiments: Resolved | None = None
+
+    @property
+    def goals(self) -> tuple[Goal, ...]:
+        """By which it is judged: where trials are designed, those of these, for the first recordings are poor."""
+        return self.experiments.goals if self.experiments else self.score.goals
+
+    @property
+    def accurate(self) -> bool:
+        """Whether no goal of accuracy is missed."""
+        return self.experiments.accurate if self.experiments else self.score.accurate
 
     def told(self) -> str:
         """The robot, and the score."""
-        return f" of the diagnosis on {self.request.model.name}, seed {self.request.seed}:{self.score.told()}"
+        told = f" of the diagnosis on {self.request.model.name}, seed {self.request.seed}:{self.score.told()}"
+        return told + (f"; {self.experiments.told()}" if self.experiments else "")
 
     def to_dataframe(self) -> DataFrame:
         """A row for each case: its ground truth, what was said of it, whether that is right.
@@ -102,7 +113,8 @@ class Proof(Short):
             **({"shard": str(self.shard)} if self.shard else {}),
         }
         rest = {"duration_s": r.duration, "seal": self.seal, "notes": list(self.notes), "seconds": self.seconds}
-        return {**head, **rest, **found}
+        whole = {**head, **rest, **found, "accurate": self.accurate}
+        return whole | ({"experiments": self.experiments.to_dict()} if self.experiments else {})
 
 
 def prove(
@@ -122,7 +134,8 @@ def prove(
     Args:
         folder: for everything that is made.
         options: see ``ProveOptions``.
-        recordings: of an MJCF robot, whose commands drive those that are like it.
+        recordings: of an MJCF robot, whose commands drive those that are like it; with ``experiments`` there need be
+            none: small chirps of the nominal robot take their place.
         model: of that robot; legs and trials that are drawn by default.
         experiment: both in one.
         plugins: files that register effects, see ``load_plugins``: those with sizes are drawn too, and looked for.
@@ -136,18 +149,19 @@ def prove(
     """
     begun = time.perf_counter()
     options, folder = with_changes(ProveOptions, options, changes), Path(folder)
-    experiment = experiment or experiment_of(recordings, model, options.track)
+    experiment = experiment or experiment_of(recordings, model, options)
     request = _request(folder, options, experiment)
     cases = range(options.cases) if options.shard is None else options.shard.cases(options.cases)
     baselines = experiment is None if options.baselines is None else options.baselines
+    limits = further_limits(options, request.model)
     presets.check_folder(folder)
     load_plugins(plugins)
-    wanted = _wanted(request, plugins)
+    wanted = wanted_of(request, plugins)
     if options.merge:
         for other in options.merge:
-            _check_claim(other, wanted, _claimed(other))
+            check_claim(other, wanted, claimed(other))
         merge_shards(request, options, baselines)
-    _claim(folder, wanted)
+    claim(folder, wanted)
     prepare = partial(load_plugins, [path.resolve() for path in plugins]) if plugins else None
     done = 0
 
@@ -167,26 +181,32 @@ def prove(
         for note in notes:
             say(note)
         notes += _diagnose(request, seals, executor, baselines, progress, say)
+        more = None if limits is None else Further(request, seals, options, limits, progress, say)
+        if more is not None:
+            more.carry_out(executor)
+    # Before any truth is opened.
+    answers = "" if more is None else more.seal_answers(shard_name("answers", options.shard))
     if options.shard is not None:
-        note_shard(request, options.shard, options.cases, baselines, whole)
+        note_shard(request, options, baselines, whole)
     progress(STAGES[2], 0, len(cases))
     truths = []
     for case in cases:
         truths.append(open_truth(request, case))
         progress(STAGES[2], len(truths), len(cases))
-    reports = [_read(request.report(case)) for case in cases]
-    others = [_read(request.baselines(case))["answers"] if baselines else {} for case in cases]
+    reports = [read_answer(request.report(case)) for case in cases]
+    others = [read_answer(request.baselines(case))["answers"] if baselines else {} for case in cases]
     found = score(truths, reports, others, request.model.robot)
-    return Proof(request, whole, found, tuple(notes), time.perf_counter() - begun, options.shard)
+    resolved = None if more is None else more.resolved(truths, answers)
+    return Proof(request, whole, found, tuple(notes), time.perf_counter() - begun, options.shard, resolved)
 
 
-def experiment_of(recordings: Some, model: Model | None, track: float | None = None) -> Experiment | None:
+def experiment_of(recordings: Some, model: Model | None, options: ProveOptions) -> Experiment | None:
     """An MJCF robot and what is done with it; None where legs are put to the proof.
 
     Args:
         recordings: of the robot.
         model: of it; None of legs.
-        track: see ``ProveOptions``.
+        options: of the proof.
 
     Raises:
         EquimusError: where one is given without the other, or cannot be used.
@@ -197,12 +217,19 @@ def experiment_of(recordings: Some, model: Model | None, track: float | None = N
             first = given[0].name if isinstance(given[0], Recording) else given[0]
             raise ConfigError(f"{first}: recordings are for --model, an MJCF robot; a leg's trials are drawn")
         return None
+    require_bare_mjcf(model)  # before its recordings are taken for a leg's
+    if not given and options.excites == "poor":
+        return Experiment(model, poor_recordings_of(model, options), options.track)
     if not given:
         raise ConfigError(
-            f"{model.name}: an MJCF robot is driven as in recordings of it; give their folder or files too"
+            f"{model.name}: an MJCF robot is driven as in recordings of it; give their folder or files too, or "
+            "--excitation poor for small chirps"
         )
-    require_bare_mjcf(model)  # before its recordings are taken for a leg's
-    return Experiment(model, tuple(gather(given, model)), track)
+    if options.trials is not None or options.duration is not None:
+        raise ConfigError("--trials and --duration are for legs; an MJCF robot is driven as in its recordings")
+    if options.excitation is not None:
+        raise ConfigError("--excitation is for legs; an MJCF robot is driven as in its recordings")
+    return Experiment(model, tuple(gather(given, model)), options.track)
 
 
 def far_beyond(request: Request, cases: Sequence[int]) -> list[str]:
@@ -235,63 +262,18 @@ def _request(folder: Path, options: ProveOptions, experiment: Experiment | None)
     if experiment is None:
         if options.track is not None:
             raise ConfigError("--track is for an MJCF robot; the valves of a leg hold it")
-        trials = TRIALS if options.trials is None else options.trials
-        return Request(folder, options.seed, kind, trials, DURATION if options.duration is None else options.duration)
+        usual = (chirps.TRIALS, chirps.DURATION) if options.excites == "poor" else (TRIALS, DURATION)
+        given = options.trials, options.duration
+        trials, duration = (own if own is not None else default for own, default in zip(given, usual, strict=True))
+        return Request(folder, options.seed, kind, int(trials), duration, excitation=options.excites)
     if options.baselines:
         raise ConfigError("the simpler methods are for legs; an MJCF robot is put to the proof without them")
-    if options.trials is not None or options.duration is not None:
-        raise ConfigError("--trials and --duration are for legs; an MJCF robot is driven as in its recordings")
     return Request.of_mjcf(folder, options.seed, kind, experiment)
-
-
-def _wanted(request: Request, plugins: Sequence[Path]) -> dict[str, Any]:
-    """What a folder's proof has to be of."""
-    wanted: dict[str, Any] = {
-        "seed": request.seed,
-        "kind": request.kind,
-        "trials": request.trials,
-        "duration_s": request.duration,
-        "physics_hz": request.rate,
-        "robot": request.model.name,
-    }
-    wanted |= request.source.made_of()
-    digest = plugins_digest(plugins)
-    return wanted | ({} if digest is None else {"plugins_sha256": digest})
 
 
 def _phrase(found: Sequence[Mapping[str, Any]]) -> str:
     """Effects and where they are, in one line."""
     return "; ".join(f"{own['effect']} at {', '.join(own['locations'])}" for own in found)
-
-
-def _claimed(folder: Path) -> dict[str, Any]:
-    """What another folder's proof is of.
-
-    Raises:
-        ConfigError: where it holds none.
-    """
-    if (text := read_text(folder / "request.json")) is None:
-        raise ConfigError(f"{folder}: holds no proof (there is no request.json)")
-    return _parsed(text)
-
-
-def _claim(folder: Path, wanted: Mapping[str, Any]) -> None:
-    """Note in the folder what it is for, or raise ConfigError where it is for something else."""
-    text = read_text(folder / "request.json")
-    if text is None:
-        presets.write_text(folder / "request.json", presets.json_text(wanted))
-    else:
-        _check_claim(folder, wanted, _parsed(text))
-
-
-def _check_claim(folder: Path, wanted: Mapping[str, Any], found: Mapping[str, Any]) -> None:
-    if found.get("plugins_sha256") != wanted.get("plugins_sha256"):
-        raise ConfigError(f"{folder}: holds a proof with other plugins; choose another folder")
-    for key, value in wanted.items():
-        if (known := found.get(key, UNSAID.get(key, value))) != value:
-            if key in HASHED:
-                raise ConfigError(f"{folder}: holds a proof with {HASHED[key]}; choose another folder")
-            raise ConfigError(f"{folder}: holds a proof with {key} {known}, not {value}; choose another folder")
 
 
 @dataclass(frozen=True, eq=False)
@@ -313,7 +295,7 @@ class _Current:
         text = read_text(path)
         if text is None:
             return None
-        found = _parsed(text)
+        found = parsed(text)
         own = found.get("proof", {}) if what == "report" else found
         return bool(own.get("seal") == self.seals[case] and own.get("fingerprint") == getattr(self, what))
 
@@ -361,30 +343,7 @@ def _diagnose(
                 if text is not None:
                     write_text(needed[what], text)
         progress(STAGES[1], finished, len(seals))
-    if ended:
-        name, how = min(ended.items())
-        more = f" and {len(ended) - 1} more" if len(ended) > 1 else ""
-        raise EquimusError(
-            f"the process that diagnosed {name}{more} {how} before it had an answer; run it again, with fewer "
-            "workers where memory is short"
-        )
+    require_all(ended, "diagnosed")
     changed = _Current(seals)
     mixed = sum(not changed.holds(request.report(case), case, "report") for case in seals)
     return [f"the program changed while it ran: {mixed} reports are of another version"] if mixed else []
-
-
-def _read(path: Path) -> dict[str, Any]:
-    text = read_text(path)
-    found = _parsed(text or "")
-    if not found:
-        raise ConfigError(f"{path}: is no answer of a proof; remove it and run again")
-    return found
-
-
-def _parsed(text: str) -> dict[str, Any]:
-    """The JSON object in a text; empty where it is none."""
-    try:
-        found = json.loads(text)
-    except json.JSONDecodeError:
-        return {}
-    return dict(found) if isinstance(found, Mapping) else {}

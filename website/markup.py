@@ -1,0 +1,39 @@
+"""Pages as they are easier to read: code within a line, and figures."""
+
+from __future__ import annotations
+
+import re
+from html import unescape
+
+SPAN = re.compile(r"(?<!<pre>)(?<!<span></span>)<code>([^<]+)</code>")
+JOINT = re.compile(r"(?<=[/_.,:=(])(?=[^\s/_.,:=(])")
+LONGEST = 28
+"""Characters that fit in a line of a list on a phone."""
+COMMANDS = re.compile(r'<div class="language-sh highlight">.*?</div>', re.DOTALL)
+FLAG = re.compile(r"(?<![\w.\"/-])--?[a-z][a-z-]*(?![\w.\"]*[\">])")
+FIGURE = re.compile(r'<p>(<img [^>]*?src="([^":]+)"[^>]*>)')
+
+
+def unbroken(html: str) -> str:
+    """The same page; browsers would else break ``--free`` after its first hyphen.
+
+    Code of at most ``LONGEST`` characters gets the class ``short``, which the style sheet keeps in one line. In longer
+    code a line may end behind a slash, an underscore and the like.
+    """
+
+    def span(found: re.Match[str]) -> str:
+        if len(unescape(found[1])) <= LONGEST:
+            return f'<code class="short">{found[1]}</code>'
+        return f"<code>{JOINT.sub('<wbr>', found[1])}</code>"
+
+    return SPAN.sub(span, html)
+
+
+def commands(html: str) -> str:
+    """The same page; in commands, which wrap, an option stays in one piece, too."""
+    return COMMANDS.sub(lambda block: FLAG.sub(r'<span class="short">\g<0></span>', block[0]), html)
+
+
+def opened(html: str) -> str:
+    """The same page; a figure is a link to itself, which a browser shows in its full size."""
+    return FIGURE.sub(r'<p><a href="\2">\1</a>', html)
