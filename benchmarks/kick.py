@@ -14,10 +14,13 @@ from __future__ import annotations
 
 import argparse
 import json
+import time
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from matplotlib.figure import Figure
 
 import equimus_ctrl as eq
 from equimus_ctrl.learning.burst import Burst, judge_rows, search_burst
@@ -25,6 +28,7 @@ from equimus_ctrl.learning.episodes import Episodes
 from equimus_ctrl.learning.evaluation import Judged, judge
 from equimus_ctrl.learning.kick import AIM
 from equimus_ctrl.learning.policy import Policy
+from equimus_ctrl.report import style
 from equimus_ctrl.workflow.learning import make_episodes
 
 CONTROL, ENOUGH, SHARE = 60.0, 0.95, 0.8
@@ -42,20 +46,41 @@ def train(arguments: argparse.Namespace) -> dict[str, Any]:
     episodes = make_episodes("kick", 64, control=CONTROL)
     burst = burst_on(episodes)
     plain = float(judge(episodes, burst.act, 0).info["ball_speed"][0])
-    rows = []
+    rows, curves = [], {}
     for seed in arguments.seeds:
+        spent, begun = [], time.process_time()
         found = eq.train(
             arguments.output / f"seed-{seed}", "kick", control=CONTROL, seed=seed, steps=10**9, budget=arguments.budget,
+            threads=arguments.threads, progress=lambda *said, spent=spent: spent.append(time.process_time()),
         )  # fmt: skip
-        enough = [row for row in found.curve if row["ball_speed"] >= ENOUGH * plain]
-        first = enough[0] if enough else {"steps": None, "seconds": None}
+        enough = [k for k, row in enumerate(found.curve) if row["ball_speed"] >= ENOUGH * plain]
+        first = found.curve[enough[0]] if enough else {"steps": None, "seconds": None}
         rows.append({
             "seed": seed, "ball_speed": found.best["ball_speed"], "share": found.best["ball_speed"] / plain,
             "miss_angle": found.best["miss_angle"], "steps": found.curve[-1]["steps"], "steps_to_95": first["steps"],
-            "seconds_to_95": first["seconds"],
+            "seconds_to_95": first["seconds"], "cpu_seconds_to_95": spent[enough[0]] - begun if enough else None,
+            "seconds": found.curve[-1]["seconds"], "cpu_seconds": spent[-1] - begun,
         })  # fmt: skip
+        curves[str(seed)] = [(row["steps"], row["ball_speed"]) for row in found.curve]
         print(rows[-1], flush=True)
-    return {"burst": {**burst.to_dict(1 / CONTROL), "ball_speed": plain}, "policies": rows}
+    drawn = style.save(curves_figure(curves, plain), arguments.output / "curves.png")
+    print(f"wrote {drawn}", flush=True)
+    return {"burst": {**burst.to_dict(1 / CONTROL), "ball_speed": plain}, "policies": rows, "curves": curves}
+
+
+def curves_figure(curves: Mapping[str, Sequence[tuple[int, float]]], plain: float) -> Figure:
+    """Ball speed over steps of the environments, for each seed; the burst's, and what is enough."""
+    figure = Figure(figsize=(7.0, 3.6), layout="constrained")
+    axes = figure.subplots()
+    for seed, points in curves.items():
+        axes.plot([steps / 1e3 for steps, _ in points], [speed for _, speed in points], lw=1.2, label=f"seed {seed}")
+    for value, text, drawn in ((plain, "burst", "--"), (ENOUGH * plain, f"{ENOUGH:.0%} of it", ":")):
+        axes.axhline(value, color=style.INK, lw=0.8, ls=drawn, label=f"{text}: {value:.2f} m/s")
+    axes.set_xlabel("steps of the environments, in thousands")
+    axes.set_ylabel("ball speed towards the target [m/s]")
+    axes.set_title("Training to kick, on the nominal leg", loc="left")
+    axes.legend(loc="lower right", fontsize=8, ncols=2)
+    return figure
 
 
 def reachable(draws: Episodes, anchors: Episodes) -> np.ndarray:
@@ -108,6 +133,7 @@ def main() -> None:
     one = verbs.add_parser("train")
     one.add_argument("--seeds", type=int, nargs="+", default=[3, 4, 5, 6, 7])
     one.add_argument("--budget", type=float, default=600.0)
+    one.add_argument("--threads", type=int, help="of the simulation; all cores by default")
     one.add_argument("--output", type=Path, default=Path("results/kick"))
     one.set_defaults(work=train)
     other = verbs.add_parser("transfer")
