@@ -163,6 +163,7 @@ from .workflow import (
     design_experiment as design_experiment,
     diagnose as diagnose,
     export_model as export_model,
+    export_policy as export_policy,
     export_recordings as export_recordings,
     fetch_recordings as fetch_recordings,
     figure as figure,

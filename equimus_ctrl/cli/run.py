@@ -38,7 +38,7 @@ def run(
         typer.Option(
             "--controller",
             "-c",
-            help="Controller by name, path/to/file.py:Name or policy.zip; the scenario's by default.",
+            help="Controller by name, path/to/file.py:Name or policy.zip, .onnx; the scenario's by default.",
         ),
     ] = None,
     plant: Annotated[str, typer.Option(help="Plant by name (see: list plants).")] = "mujoco",

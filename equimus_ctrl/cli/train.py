@@ -32,6 +32,9 @@ def train(
         typer.Option("--output", "-o", metavar="DIR", help="For policy and figures; results/train/… by default."),
     ] = None,
     force: Annotated[bool, typer.Option("--force", help="Begin anew; else it goes on where it was stopped.")] = False,
+    export: Annotated[
+        bool, typer.Option("--export", help="Also write policy.onnx, for other programs; a controller as well.")
+    ] = False,
     figures: Figures = True,
     as_json: Json = False,
 ) -> None:
@@ -45,11 +48,13 @@ def train(
     equimus-ctrl train kick --control 60 --budget 600
     equimus-ctrl train kick --randomise 20 --seed 3 --output results/kick
     equimus-ctrl train kick --randomise diagnosis --diagnosis report
-    equimus-ctrl train hold --set hip=80 --set knee=20 --algorithm sac
+    equimus-ctrl train hold --set hip=80 --set knee=20 --algorithm sac --export
     """  # noqa: D301
     from equimus_ctrl import presets, workflow
 
     console = people()
+    if export:
+        workflow.check_onnx()
     workflow.load_plugins(plugins or ())
     model = chosen.read()
     name = f"{task}-{presets.plain_name(model.name)}-{options.algorithm}-{options.seed}"
@@ -57,7 +62,7 @@ def train(
     with stage_bar(console, "getting ready", stopped="stopped: the same command goes on from its last round") as show:
         with best_so_far(console) as stopped:
             found = workflow.train(folder, task, model, options, force=force, progress=show, stopped=stopped)
-        files = list(found.files)
+        files = [*found.files, *([workflow.write_onnx(found)] if export else ())]
         if figures:
             show("figures")
             files += _drawn(found, task, model, options)

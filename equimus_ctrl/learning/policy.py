@@ -11,7 +11,7 @@ import json
 import zipfile
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -109,6 +109,23 @@ def _same(one: Any, other: Any) -> bool:
     return np.shape(one) == np.shape(other) and bool(np.allclose(one, other, rtol=1e-9, atol=1e-12))
 
 
+class Acting(Protocol):
+    """What acts on observations, and says what it is for."""
+
+    @property
+    def suited(self) -> Suited:
+        """What it is for."""
+        ...
+
+    def act(self, observed: NDArray[np.floating[Any]]) -> Array:
+        """(n, na) actions within ±1, of observations (n, size).
+
+        Raises:
+            ConfigError: for observations of another size, or that are not finite.
+        """
+        ...
+
+
 @dataclass(frozen=True, eq=False)
 class Policy:
     """Actions from observations.
@@ -138,24 +155,30 @@ class Policy:
         Raises:
             ConfigError: for observations of another size, or that are not finite.
         """
-        if observed.shape[1:] != (self.network.inputs,):
-            raise ConfigError(f"observations have shape {observed.shape}, the policy takes {self.network.inputs} each")
-        if not np.isfinite(observed).all():
-            k = int(np.flatnonzero(~np.isfinite(observed).all(axis=0))[0])
-            raise ConfigError(f"number {k + 1} of what the policy sees is not finite")
+        checked(observed, self.network.inputs)
         return np.clip(self.network(self.normalisation(observed)), -1.0, 1.0).astype(np.float64)
 
-    def to_bytes(self, state: bytes | None = None, arrays: Mapping[str, Array] | None = None) -> bytes:
-        """The archive; with the state of training a checkpoint. The same policy gives the same bytes."""
+    def about(self) -> dict[str, Any]:
+        """All but the weights, as JSON data."""
         own = {key: getattr(self.suited, key) for key in Suited.__dataclass_fields__}
         sight = None if self.suited.sight is None else sight_to_dict(self.suited.sight)
-        about = {
+        scale = self.normalisation
+        return {
             "schema": SCHEMA,
             "for": {**own, "sight": sight},
             "activations": self.network.activations,
-            "normalisation": {"epsilon": self.normalisation.epsilon, "clip": self.normalisation.clip},
+            "normalisation": {
+                "epsilon": scale.epsilon, "clip": scale.clip, "mean": scale.mean.tolist(),
+                "variance": scale.variance.tolist(),
+            },
             "record": self.record,
-        }
+        }  # fmt: skip
+
+    def to_bytes(self, state: bytes | None = None, arrays: Mapping[str, Array] | None = None) -> bytes:
+        """The archive; with the state of training a checkpoint. The same policy gives the same bytes."""
+        about = self.about()
+        for name in ("mean", "variance"):  # as arrays, to the last bit
+            del about["normalisation"][name]
         layers: dict[str, Any] = {f"weight.{k}": own for k, own in enumerate(self.network.weights)}
         layers |= {f"bias.{k}": own for k, own in enumerate(self.network.biases)}
         scale = {"mean": self.normalisation.mean, "variance": self.normalisation.variance}
@@ -188,19 +211,13 @@ class Policy:
                     f"{where}: is without the normalisation of observations that it was trained with, and would see "
                     "other numbers than in training; expected a file as train writes it"
                 )
-            own = dict(about["for"])
-            sight = None if own["sight"] is None else sight_of(own["sight"], where)
-            for key in ("joints", "actuators"):
-                own[key] = tuple(map(str, own[key]))
-            for key in LIMITS:
-                own[key] = _floats(own[key])
             network = Network(
                 tuple(np.asarray(arrays[f"weight.{k}"], np.float32) for k in layers),
                 tuple(np.asarray(arrays[f"bias.{k}"], np.float32) for k in layers),
                 activations,
             )
             normalisation = Normalisation(arrays["mean"], arrays["variance"], **about["normalisation"])
-            return cls(network, normalisation, Suited(**{**own, "sight": sight}), about["record"])
+            return cls(network, normalisation, suited_of(about["for"], where), about["record"])
         except ConfigError as error:
             said = str(error)
             raise ConfigError(said if said.startswith(where) else f"{where}: {said}") from None
@@ -210,6 +227,34 @@ class Policy:
     def recorded(self, record: Mapping[str, Any]) -> Policy:
         """The same with another record."""
         return replace(self, record=record)
+
+
+def checked(observed: NDArray[np.floating[Any]], size: int) -> None:
+    """See to it that observations are (n, size) and finite.
+
+    Raises:
+        ConfigError: where they are not.
+    """
+    if observed.shape[1:] != (size,):
+        raise ConfigError(f"observations have shape {observed.shape}, the policy takes {size} each")
+    if not np.isfinite(observed).all():
+        k = int(np.flatnonzero(~np.isfinite(observed).all(axis=0))[0])
+        raise ConfigError(f"number {k + 1} of what the policy sees is not finite")
+
+
+def suited_of(data: Mapping[str, Any], where: str) -> Suited:
+    """Of JSON data.
+
+    Raises:
+        ConfigError, KeyError, TypeError, ValueError: where it is not as ``Policy.about`` has it.
+    """
+    own = dict(data)
+    own["sight"] = None if own["sight"] is None else sight_of(own["sight"], where)
+    for key in ("joints", "actuators"):
+        own[key] = tuple(map(str, own[key]))
+    for key in LIMITS:
+        own[key] = _floats(own[key])
+    return Suited(**own)
 
 
 def training_state(data: bytes, where: str) -> tuple[bytes, dict[str, Array]]:

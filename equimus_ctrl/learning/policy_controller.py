@@ -8,7 +8,7 @@ import numpy as np
 
 from equimus_ctrl.errors import ConfigError, ControllerError
 from equimus_ctrl.learning.observing import Memory, Scaling, bounded
-from equimus_ctrl.learning.policy import Policy
+from equimus_ctrl.learning.policy import Acting
 from equimus_ctrl.types import Array, Observation, PlantSpec, Reference
 
 ROW = np.array([0])
@@ -49,7 +49,7 @@ class PolicyController:
         ConfigError: where the policy sees what no controller does.
     """
 
-    policy: Policy
+    policy: Acting
     name: str = "policy"
 
     def __post_init__(self) -> None:

@@ -85,8 +85,11 @@ from .scores import (
 )
 from .training import (
     Trained as Trained,
+    check_onnx as check_onnx,
+    export_policy as export_policy,
     film_of_training as film_of_training,
     train as train,
+    write_onnx as write_onnx,
     write_training as write_training,
 )
 from .tuning import Tuned as Tuned, TunedFiles as TunedFiles, tune as tune, tune_into as tune_into

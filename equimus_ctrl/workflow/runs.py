@@ -15,7 +15,8 @@ from equimus_ctrl.controllers.registry import CONTROLLERS, make_controller
 from equimus_ctrl.effects.base import Effect
 from equimus_ctrl.engines.predict import robot_as_noted
 from equimus_ctrl.errors import ConfigError, EquimusError, SimulationDiverged, unknown_name
-from equimus_ctrl.learning.policy import Policy
+from equimus_ctrl.learning.onnx_policy import OnnxPolicy
+from equimus_ctrl.learning.policy import Acting, Policy
 from equimus_ctrl.learning.policy_controller import PolicyController
 from equimus_ctrl.loop import run
 from equimus_ctrl.models.kinematics import Kinematics
@@ -36,8 +37,8 @@ from equimus_ctrl.types import Controller, Counts, CountsInstants, Ends, KnowsCo
 if TYPE_CHECKING:
     from pandas import DataFrame
 
-POLICY = ".zip"
-"""How the file of a policy ends."""
+POLICIES: dict[str, Callable[[bytes, str], Acting]] = {".onnx": OnnxPolicy.from_bytes, ".zip": Policy.from_bytes}
+"""How files of policies end."""
 
 
 def recordings_of(folder: Path | None = None) -> Callable[[str], tuple[Recording, ...]]:
@@ -136,10 +137,11 @@ def load_controller(
     Raises:
         ControllerError, ConfigError: where there is no such controller or its settings are wrong.
     """
-    if name not in CONTROLLERS and name.endswith(POLICY):
+    reader = None if name in CONTROLLERS else POLICIES.get(Path(name).suffix)
+    if reader is not None:
         if settings is not None:
             raise ConfigError(f"controller {name} takes no settings file, but {settings} was given")
-        return PolicyController(Policy.from_bytes(presets.read_bytes(Path(name)), name), name)
+        return PolicyController(reader(presets.read_bytes(Path(name)), name), name)
     own = name not in CONTROLLERS and ".py" in name
     takes = None if own else CONTROLLERS.entry(name).settings
     if settings is not None and takes is None:

@@ -17,6 +17,8 @@ from equimus_ctrl.errors import ConfigError, needs, unknown_name
 from equimus_ctrl.executors.versions import versions
 from equimus_ctrl.learning.episodes import Episodes
 from equimus_ctrl.learning.evaluation import Judged, judge
+from equimus_ctrl.learning.onnx_policy import check_onnx as check_onnx
+from equimus_ctrl.learning.onnx_policy import to_onnx
 from equimus_ctrl.learning.policy import Policy, Suited, training_state
 from equimus_ctrl.learning.settings import KickSettings
 from equimus_ctrl.models.model import Model, model_to_dict, nominal_model
@@ -25,7 +27,7 @@ from equimus_ctrl.shown import Short
 from equimus_ctrl.workflow.learning import KICK, make_episodes
 from equimus_ctrl.workflow.models import load_model
 
-POLICY, CHECKPOINT, BOARD = "policy.zip", "checkpoint.zip", "tensorboard"
+POLICY, CHECKPOINT, BOARD, ONNX = "policy.zip", "checkpoint.zip", "tensorboard", "policy.onnx"
 SCHEMA = "equimus-ctrl/training/1"
 MEANWHILE = ("steps", "budget", "threads")
 """Options that may be others when a training goes on."""
@@ -40,7 +42,7 @@ class Trained(Short):
     Attributes:
         policy: the best of its rounds.
         folder: with ``policy.zip``, that one, and ``checkpoint.zip``, the latest.
-        curve: a row for each round: ``steps``, ``seconds``, ``explored``, and what unseen robots did.
+        curve: a row for each round: ``steps``, ``seconds``, ``cpu_seconds``, ``explored``, and what unseen robots did.
         best: the row of the best.
         settings: how it was trained, as JSON data.
         reason: why it ended: ``"steps"``, ``"budget"`` or ``"stopped"``.
@@ -119,7 +121,8 @@ def train(
         best = Policy.from_bytes(presets.read_bytes(folder / POLICY), str(folder / POLICY)) if rows else None
     else:
         outputs.Results(folder, force, folder).opened(folder)
-    begun, already = time.monotonic(), rows[-1]["seconds"] if rows else 0.0
+    begun, worked = time.monotonic(), time.process_time()
+    before = {key: rows[-1][key] if rows else 0.0 for key in ("seconds", "cpu_seconds")}
     reason = ""
     while not reason:
         passed = time.monotonic() - begun
@@ -132,7 +135,8 @@ def train(
         else:
             policy = trainer.policy(suited)
             row = {
-                "steps": trainer.steps, "seconds": already + time.monotonic() - begun, "explored": trainer.said(),
+                "steps": trainer.steps, "seconds": before["seconds"] + time.monotonic() - begun,
+                "cpu_seconds": before["cpu_seconds"] + time.process_time() - worked, "explored": trainer.said(),
                 **judged(unseen, policy).to_dict(),
             }  # fmt: skip
             better = not rows or row["return"] > _best(rows)["return"]
@@ -152,6 +156,37 @@ def train(
 def write_training(found: Trained, files: Iterable[Path] = ()) -> Path:
     """Write ``record.json`` into the folder of a training, in the place of an earlier one."""
     return outputs.write_record(found.folder, "record.json", found.to_dict(), files or found.files)
+
+
+def write_onnx(found: Trained) -> Path:
+    """Write the best policy as ``policy.onnx`` into the folder of a training, in the place of an earlier one.
+
+    Raises:
+        NotAvailable: where the library ``onnx`` is not installed.
+    """
+    path = found.folder / ONNX
+    presets.write_bytes(path, to_onnx(found.policy))
+    return path
+
+
+def export_policy(path: Path | str, policy: Policy | Path | str, *, force: bool = False) -> Path:
+    """Write a policy as an ONNX file, see ``learning.onnx_policy``: for other programs, and a controller as well.
+
+    Args:
+        path: where.
+        policy: which, or the file that ``train`` wrote of it.
+        force: replace what is there.
+
+    Raises:
+        NotAvailable: where the library ``onnx`` is not installed.
+        EquimusError: for anything that cannot be, in one sentence.
+    """
+    path = Path(path)
+    outputs.check_new(path, force)
+    if not isinstance(policy, Policy):
+        policy = Policy.from_bytes(presets.read_bytes(Path(policy)), str(policy))
+    presets.write_bytes(path, to_onnx(policy))
+    return path
 
 
 def film_of_training(found: Trained, model: Model, options: TrainOptions) -> tuple[list[Any], float]:
