@@ -412,9 +412,7 @@ def load_object(text: str) -> Any:
     file, colon, name = text.rpartition(":")
     if not colon or not file.endswith(".py") or not name.isidentifier():
         raise ControllerError(
-            
             f"{text!r} is neither a known controller nor path/to/file.py:Name nor a policy.zip or policy.onnx"
-        
         )
     module = load_script(Path(file))
     if not hasattr(module, name):
