@@ -1,20 +1,25 @@
 """The kick: what learning reaches beside a burst of two commands found by CMA-ES, and what carries over.
 
     python benchmarks/kick.py train --seeds 3 4 5 6 7
+    python benchmarks/kick.py mpc
     python benchmarks/kick.py transfer --diagnosis report --draws 200
 
 ``train`` trains with each seed on the nominal leg and says when the policy reached 95 % of the burst's ball speed.
+``mpc`` plans anew all the time on that leg, knowing it exactly, by the methods of sampling MPC that the library has.
+
 ``transfer`` trains on the nominal leg, on that ± 20 %, on the augmented model of a diagnosis, and on what the diagnosis
 leaves open, with as many steps each, and judges on robots drawn from the diagnosis that no policy was trained on, the
 ball in the same place for all. Success is a ball within 10° of the target at 80 % or more of the speed that is
-reachable on that robot: the best of the bursts that CMA-ES finds on it, and of all that is judged. Both go on where
-they were stopped.
+reachable on that robot: the best of the bursts that CMA-ES finds on it, and of all that is judged.
+
+``train`` and ``transfer`` go on where they were stopped.
 """
 
 from __future__ import annotations
 
 import argparse
 import json
+import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -31,6 +36,7 @@ from equimus_ctrl.learning.evaluation import Act, Judged, judge
 from equimus_ctrl.learning.kick import AIM, Kick
 from equimus_ctrl.learning.policy import Policy
 from equimus_ctrl.learning.settings import DIAGNOSIS, KickSettings
+from equimus_ctrl.predictive.sampling import METHODS, Spread
 from equimus_ctrl.report import style
 from equimus_ctrl.workflow.learning import make_episodes
 
@@ -42,6 +48,10 @@ NEAR, REFINED = 0.15, 15
 SPENT = ("steps", "seconds", "cpu_seconds")
 NOISE = 0.002
 """On measured positions, where no diagnosis says how much [rad]."""
+ROLLED, KNOTS, EVERY = 64, 10, 3
+"""Of sampling MPC: plans tried at once, knots of a plan over the episode, control periods from plan to plan."""
+SPREAD = Spread(least=0.05, most=0.5, temperature=0.1, elites=0.1)
+"""The same, of actions within ±1."""
 QUANTILES = (0.0, 0.05, 0.5, 1.0)
 UNSEEN = 2_000_000
 
@@ -196,6 +206,35 @@ def reachable(draws: int, nominal: Burst, real: Mapping[str, Any]) -> np.ndarray
     return best
 
 
+def plan(arguments: argparse.Namespace) -> dict[str, Any]:
+    """Sampling MPC, knowing the nominal leg and its state exactly: what is left of the episode is planned anew."""
+    episodes = make_episodes("kick", ROLLED, control=CONTROL, threads=arguments.threads)
+    periods, size = episodes.periods, episodes.action_size
+    times = np.linspace(0, periods - 1, KNOTS)
+    linear = np.array([np.interp(np.arange(periods), times, row) for row in np.eye(KNOTS)]).T  # (periods, KNOTS)
+    found: dict[str, Any] = {}
+    for name, method in METHODS.items():
+        speeds, misses, begun = [], [], time.process_time()
+        for seed in arguments.seeds:
+            rng, nominal, done = np.random.default_rng(seed), np.zeros((KNOTS, size)), np.zeros((periods, size))
+            memory = method.begin(nominal.shape, SPREAD)
+            for now in range(0, periods, EVERY):
+                drawn = method.draw(rng, nominal, memory, ROLLED - 1, SPREAD)
+                knots = np.clip(np.concatenate([nominal[None], drawn]), -1.0, 1.0)
+                acts = np.einsum("pk,nka->npa", linear, knots)
+                acts[:, :now] = done[:now]
+                told = judge(episodes, lambda seen, period, acts=acts: acts[:, period], 0)
+                nominal, memory = method.update(knots, -told.returns, memory, SPREAD)
+                done[now : now + EVERY] = (linear @ nominal)[now : now + EVERY]
+            end = judge(episodes, lambda seen, period, done=done: np.tile(done[period], (ROLLED, 1)), 0).info
+            speeds.append(float(end["ball_speed"][0]))
+            misses.append(float(end["miss_angle"][0]))
+        spent = (time.process_time() - begun) / len(speeds)
+        found[name] = {"ball_speed": speeds, "miss_angle": misses, "cpu_seconds_a_kick": spent}
+        print(name, found[name], flush=True)
+    return found
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     verbs = parser.add_subparsers(required=True)
@@ -205,6 +244,10 @@ def main() -> None:
     one.add_argument("--threads", type=int, help="of the simulation; all cores by default")
     one.add_argument("--output", type=Path, default=Path("results/kick"))
     one.set_defaults(work=train)
+    planned = verbs.add_parser("mpc")
+    planned.add_argument("--seeds", type=int, nargs="+", default=[0, 1, 2, 3, 4])
+    planned.add_argument("--threads", type=int, help="of the simulation; all cores by default")
+    planned.set_defaults(work=plan)
     other = verbs.add_parser("transfer")
     other.add_argument("--diagnosis", type=Path, required=True, help="folder with record.json and corrected.toml")
     other.add_argument("--ways", nargs="+", default=list(WAYS), choices=list(WAYS))
