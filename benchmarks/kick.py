@@ -2,6 +2,7 @@
 
     python benchmarks/kick.py train --seeds 3 4 5 6 7
     python benchmarks/kick.py mpc
+    python benchmarks/kick.py published --scene dog2_4singleLeg_realconstrast_kickball.xml ppo_kick_model_*.zip
     python benchmarks/kick.py transfer --diagnosis report --draws 200
 
 ``train`` trains with each seed on the nominal leg and says when the policy reached 95 % of the burst's ball speed.
@@ -12,20 +13,27 @@ leaves open, with as many steps each, and judges on robots drawn from the diagno
 ball in the same place for all. Success is a ball within 10° of the target at 80 % or more of the speed that is
 reachable on that robot: the best of the bursts that CMA-ES finds on it, and of all that is judged.
 
+``published`` scores the EquiMus authors' policies in their own scene, files that this repository does not hold.
+
 ``train`` and ``transfer`` go on where they were stopped.
 """
 
 from __future__ import annotations
 
 import argparse
+import io
 import json
+import pickle
+import re
 import time
+import zipfile
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import cmaes
+import mujoco
 import numpy as np
 from matplotlib.figure import Figure
 
@@ -33,7 +41,8 @@ import equimus_ctrl as eq
 from equimus_ctrl.learning.burst import POPULATION, Burst, judge_rows, search_burst
 from equimus_ctrl.learning.episodes import Episodes
 from equimus_ctrl.learning.evaluation import Act, Judged, judge
-from equimus_ctrl.learning.kick import AIM, Kick
+from equimus_ctrl.learning.kick import AIM, Kick, KickScore
+from equimus_ctrl.learning.network import Network
 from equimus_ctrl.learning.policy import Policy
 from equimus_ctrl.learning.settings import DIAGNOSIS, KickSettings
 from equimus_ctrl.predictive.sampling import METHODS, Spread
@@ -52,6 +61,10 @@ ROLLED, KNOTS, EVERY = 64, 10, 3
 """Of sampling MPC: plans tried at once, knots of a plan over the episode, control periods from plan to plan."""
 SPREAD = Spread(least=0.05, most=0.5, temperature=0.1, elites=0.1)
 """The same, of actions within ±1."""
+THEIR_SIZES, THEIR_RANGE, THEIR_STEPS, THEIR_TARGET = (10, 2), (0.0, 50.0), 10, np.array([0.0, -1.0, 0.0])
+"""Of the published environment: numbers seen and given, pressures that the valves have [kPa], physics steps a command,
+and the way to the target. It lets commands go to ±50 kPa; here they stay within what there is."""
+LAYER = re.compile(r"mlp_extractor\.policy_net\.\d+\.weight")
 QUANTILES = (0.0, 0.05, 0.5, 1.0)
 UNSEEN = 2_000_000
 
@@ -235,6 +248,57 @@ def plan(arguments: argparse.Namespace) -> dict[str, Any]:
     return found
 
 
+def published(arguments: argparse.Namespace) -> dict[str, Any]:
+    """Policies of the EquiMus authors, in their own scene, by our score: the ball's linear velocity."""
+    try:
+        model = mujoco.MjModel.from_xml_path(str(arguments.scene))
+        ball = model.body("ball").id
+    except (ValueError, KeyError) as error:
+        raise SystemExit(f"{arguments.scene}: is not the scene with the leg and a body named ball ({error})") from None
+    if model.nv < 8 or model.nu < 2:
+        raise SystemExit(
+            f"{arguments.scene}: has {model.nv} rates and {model.nu} actuators, expected the leg and a ball"
+        )
+    found: dict[str, Any] = {}
+    for path in arguments.files:
+        network, data, score = published_network(path), mujoco.MjData(model), KickScore(1, THEIR_TARGET)
+        mujoco.mj_forward(model, data)
+        score.begin(0)
+        velocity = np.zeros(6)
+        for _ in range(round(KickSettings().duration / (THEIR_STEPS * model.opt.timestep))):
+            # What they call the ball's velocity is that of its rotation.
+            seen = np.concatenate([data.qpos[:2], data.qvel[:2], data.body(ball).xpos, data.body(ball).cvel[:3]])
+            first, last = np.clip(network(seen[None].astype(np.float32))[0], *THEIR_RANGE)
+            data.ctrl[:2], data.ctrl[2:] = first, last
+            for _ in range(THEIR_STEPS):
+                mujoco.mj_step(model, data)
+                mujoco.mj_objectVelocity(model, data, mujoco.mjtObj.mjOBJ_BODY, ball, velocity, 0)
+                score.add(np.array([0]), velocity[None, None, 3:], np.zeros((1, 1, 3)))
+        found[path.name] = {"ball_speed": float(score.speed[0]), "miss_angle": float(np.degrees(score.miss[0]))}
+    return found
+
+
+def published_network(path: Path) -> Network:
+    """The weights alone of a file of Stable-Baselines3: nothing in it is run."""
+    import torch
+
+    try:
+        with zipfile.ZipFile(path) as archive:
+            held = torch.load(io.BytesIO(archive.read("policy.pth")), weights_only=True, map_location="cpu")
+        layers = sorted((name for name in held if LAYER.fullmatch(name)), key=lambda name: int(name.split(".")[2]))
+        names = [*(name.removesuffix(".weight") for name in layers), "action_net"]
+        parts = [[held[f"{name}.{kind}"].numpy() for name in names] for kind in ("weight", "bias")]
+        network = Network(*map(tuple, parts), (*("tanh",) * len(layers), "identity"))
+    except (OSError, KeyError, ValueError, zipfile.BadZipFile, pickle.UnpicklingError, eq.EquimusError) as error:
+        raise SystemExit(f"{path}: is no policy of Stable-Baselines3's PPO with linear layers ({error})") from None
+    if (network.inputs, network.outputs) != THEIR_SIZES:
+        raise SystemExit(
+            f"{path}: takes {network.inputs} numbers and gives {network.outputs}, expected {THEIR_SIZES[0]} and "
+            f"{THEIR_SIZES[1]}: two positions, two rates, the ball's position and turning rate; two pressures"
+        )
+    return network
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     verbs = parser.add_subparsers(required=True)
@@ -244,6 +308,10 @@ def main() -> None:
     one.add_argument("--threads", type=int, help="of the simulation; all cores by default")
     one.add_argument("--output", type=Path, default=Path("results/kick"))
     one.set_defaults(work=train)
+    theirs = verbs.add_parser("published")
+    theirs.add_argument("files", type=Path, nargs="+", help="ppo_kick_model_*.zip")
+    theirs.add_argument("--scene", type=Path, required=True, help="their MJCF file of leg and ball")
+    theirs.set_defaults(work=published)
     planned = verbs.add_parser("mpc")
     planned.add_argument("--seeds", type=int, nargs="+", default=[0, 1, 2, 3, 4])
     planned.add_argument("--threads", type=int, help="of the simulation; all cores by default")
