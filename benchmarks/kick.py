@@ -50,9 +50,9 @@ from equimus_ctrl.report import style
 from equimus_ctrl.workflow.learning import make_episodes
 
 CONTROL, ENOUGH, SHARE = 60.0, 0.95, 0.8
-SEARCHED, ANCHORS = 40, 3
+SEARCHED, ANCHORS = 40, 2
 """Generations of a search for a burst, and on how many of the robots it begins anew."""
-NEAR, REFINED = 0.15, 15
+NEAR, REFINED = 0.15, 12
 """Step [of the range] and generations of the search that goes on from there on each robot."""
 SPENT = ("steps", "seconds", "cpu_seconds")
 NOISE = 0.002
@@ -138,7 +138,8 @@ WAYS = {
 
 def transfer(arguments: argparse.Namespace) -> dict[str, Any]:
     folder, diagnosis = arguments.output, arguments.diagnosis
-    place = Kick(eq.nominal_model(), KickSettings()).place.tolist()
+    # Before the foot of the leg as it is: whoever lays the ball down sees that leg.
+    place = Kick(eq.load_model(diagnosis / "corrected.toml"), KickSettings()).place.tolist()
     trained = {}
     for name in arguments.ways:
         way = WAYS[name]
@@ -156,7 +157,7 @@ def transfer(arguments: argparse.Namespace) -> dict[str, Any]:
         "control": CONTROL, "randomise": DIAGNOSIS, "diagnosis": diagnosis, "robot_seed": UNSEEN, "place": tuple(place),
         "robots": arguments.draws, "threads": arguments.threads,
     }  # fmt: skip
-    nominal = burst_on(make_episodes("kick", 64, control=CONTROL, threads=arguments.threads))
+    nominal = burst_on(make_episodes("kick", 64, control=CONTROL, place=tuple(place), threads=arguments.threads))
     kept = folder / f"reachable-{arguments.draws}.json"
     if not kept.exists():
         found_best = reachable(arguments.draws, nominal, real)
