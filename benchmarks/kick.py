@@ -54,6 +54,8 @@ SEARCHED, ANCHORS = 40, 2
 """Generations of a search for a burst, and on how many of the robots it begins anew."""
 NEAR, REFINED = 0.15, 12
 """Step [of the range] and generations of the search that goes on from there on each robot."""
+EXPLORED = {"use_sde": True, "sde_sample_freq": 8, "policy_kwargs": {"log_std_init": 0.0}}
+"""What is tried in training lasts for some periods: slow valves do not pass on what is another in each."""
 SPENT = ("steps", "seconds", "cpu_seconds")
 NOISE = 0.002
 """On measured positions, where no diagnosis says how much [rad]."""
@@ -148,7 +150,7 @@ def transfer(arguments: argparse.Namespace) -> dict[str, Any]:
         found = eq.train(
             folder / f"{name.replace(' ', '')}-{arguments.seed}", "kick", model, control=CONTROL, seed=arguments.seed,
             steps=arguments.steps, history=arguments.history, robots=arguments.robots, threads=arguments.threads,
-            task_options={"place": ",".join(map(repr, place))}, **more,
+            task_options={"place": ",".join(map(repr, place))}, hyper=EXPLORED, **more,
         )  # fmt: skip
         row = {key: found.best[key] for key in ("ball_speed", "success", "steps")}
         print(f"{name}: {row}, {found.curve[-1]['seconds']:.0f} s", flush=True)
