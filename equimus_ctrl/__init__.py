@@ -25,9 +25,9 @@ Ten things to begin with (``import equimus_ctrl as eq``):
 >>> table = found.to_dataframe()  # pandas; .to_dict() for JSON
 
 Other verbs of the command ``equimus-ctrl``: ``eq.tune``, ``eq.compare``, ``eq.validate``, ``eq.prove``,
-``eq.design_experiment``, ``eq.run_experiments``, ``eq.export_model``, ``eq.list_names``. Results are frozen and show
-themselves in a line. Files are written where a place is named and nowhere else; what is there already is replaced with
-``force=True`` alone.
+``eq.design_experiment``, ``eq.run_experiments``, ``eq.train``, ``eq.export_model``, ``eq.list_names``. Results are
+frozen and show themselves in a line. Files are written where a place is named and nowhere else; what is there already
+is replaced with ``force=True`` alone.
 """
 
 from typing import Any

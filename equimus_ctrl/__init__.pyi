@@ -91,6 +91,7 @@ from .options import (
     RunExperimentsOptions as RunExperimentsOptions,
     ScoreOptions as ScoreOptions,
     SensitivityOptions as SensitivityOptions,
+    TrainOptions as TrainOptions,
     Shard as Shard,
     ValidateOptions as ValidateOptions,
 )
@@ -162,6 +163,7 @@ from .workflow import (
     design_experiment as design_experiment,
     diagnose as diagnose,
     export_model as export_model,
+    export_policy as export_policy,
     export_recordings as export_recordings,
     fetch_recordings as fetch_recordings,
     figure as figure,
@@ -186,6 +188,7 @@ from .workflow import (
     save_model as save_model,
     score as score,
     sensitivity as sensitivity,
+    train as train,
     tune as tune,
     validate as validate,
     write_design as write_design,

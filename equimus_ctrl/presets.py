@@ -411,7 +411,9 @@ def load_object(text: str) -> Any:
     """
     file, colon, name = text.rpartition(":")
     if not colon or not file.endswith(".py") or not name.isidentifier():
-        raise ControllerError(f"{text!r} is neither a known controller nor path/to/file.py:Name")
+        raise ControllerError(
+            f"{text!r} is neither a known controller nor path/to/file.py:Name nor a policy.zip or policy.onnx"
+        )
     module = load_script(Path(file))
     if not hasattr(module, name):
         public = [key for key in vars(module) if not key.startswith("_")]

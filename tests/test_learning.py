@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import sys
 import warnings
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -13,6 +14,7 @@ from learning_cases import ARM, FORCES, SENSORS, VALVES, arm, leg
 from rival_legs import delays
 
 from equimus_ctrl.errors import ConfigError, EquimusError, ModelError, NotAvailable
+from equimus_ctrl.identification.noise import JointNoise
 from equimus_ctrl.learning.kick import KickScore
 from equimus_ctrl.learning.randomisation import Diagnosed, Spread
 from equimus_ctrl.models.ball import Ball
@@ -165,9 +167,21 @@ def test_robots_are_drawn_from_what_a_diagnosis_leaves_open() -> None:
     assert late.std() == pytest.approx(0.1 * 0.04, rel=0.5) and abs(late.mean() - 0.04) < 2e-3
     assert [draws.model(3), models[3]][0].parameters() == models[3].parameters()
     env = learning.make_env("kick", randomise="diagnosis", diagnosis=rivals, robots=4)
-    assert env.episodes._noise[0] == pytest.approx(rivals.noise[0].sigma)  # as diagnosed
+    assert env.episodes._noise == rivals.noise[:2]  # as diagnosed
     kinds = {env.reset(options={"robot": k})[1]["robot"] for k in range(4)}
     assert kinds == {0, 1, 2, 3}
+
+
+def test_noise_is_as_correlated_as_diagnosed() -> None:
+    noise = (JointNoise(1e-3, 0.02, 0.1), JointNoise(0.005))
+    rivals = replace(delays(), noise=noise)
+    episodes = learning.make_episodes("kick", 32, randomise="diagnosis", diagnosis=rivals, robots=1, threads=1)
+    for row in range(32):
+        episodes.begin(row, np.random.default_rng(row))
+    drawn, dt = episodes._drawn, episodes.plant.spec.control_dt
+    assert drawn.std(axis=(0, 1)) == pytest.approx([own.sigma for own in noise], rel=0.1)
+    products = (drawn[:, 1:] * drawn[:, :-1]).mean(axis=(0, 1)) / drawn.var(axis=(0, 1))
+    assert products == pytest.approx([np.exp(-dt / 0.1), 0.0], abs=0.04)
 
 
 def test_a_share_changes_what_varies_alike() -> None:

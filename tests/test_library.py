@@ -32,7 +32,8 @@ PENDULUM = eq.load_model(ROOT / "docs" / "examples" / "pendulum.xml")
 PACKAGE = ROOT / "equimus_ctrl"
 VERBS = (
     "check", "compare", "design_experiment", "diagnose", "export_model", "identify", "linearise", "list_names", "prove",
-    "run_experiments", "run_scenario", "score", "sensitivity", "tune", "validate",
+    "run_experiments", "run_scenario", "score", "sensitivity", "train", "tune",
+    "validate",
 )  # fmt: skip
 """Of ``equimus-ctrl``, as functions that give a result."""
 FUNCTIONS = sorted(name for name in eq.__all__ if inspect.isfunction(getattr(eq, name)))

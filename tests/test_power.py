@@ -13,9 +13,9 @@ from equimus_ctrl.diagnosis.results import Diagnosis
 from equimus_ctrl.diagnosis.rivals import Rivals
 from equimus_ctrl.experiments.power import Power, powers
 from equimus_ctrl.experiments.predicted import Commands, predicted_trials
-from equimus_ctrl.experiments.refitting import NoiseScale, Target, Task, drawn_noise, refitted, refitted_all
+from equimus_ctrl.experiments.refitting import NoiseScale, Target, Task, refitted, refitted_all
 from equimus_ctrl.experiments.separation import separations
-from equimus_ctrl.identification.noise import JointNoise, estimate_noise, whiten
+from equimus_ctrl.identification.noise import JointNoise, drawn_noise, estimate_noise, whiten
 
 SWING = Commands(np.array([0.0, 0.5, 1.2]), np.array([[0.3], [-0.8], [0.9]]), 2.0)
 

@@ -27,6 +27,7 @@ from equimus_ctrl.cli import (
     run,
     score,
     sensitivity,
+    train,
     validate,
 )
 from equimus_ctrl.cli.flags import Command, Group
@@ -61,6 +62,7 @@ app.command("check", cls=Command)(check.check)
 app.command("diagnose", cls=Command)(diagnose.diagnose)
 app.command("prove", cls=Command)(prove.prove)
 app.command("sensitivity", cls=Command)(sensitivity.sensitivity)
+app.command("train", cls=Command)(train.train)
 app.command("list", cls=Command)(list_names.list_names)
 app.add_typer(experiment.app, name="experiment")
 app.add_typer(recordings.app, name="recordings")

@@ -36,7 +36,9 @@ def run(
     controller: Annotated[
         str | None,
         typer.Option(
-            "--controller", "-c", help="Controller by name or path/to/file.py:Name; the scenario's by default."
+            "--controller",
+            "-c",
+            help="Controller by name, path/to/file.py:Name or policy.zip, .onnx; the scenario's by default.",
         ),
     ] = None,
     plant: Annotated[str, typer.Option(help="Plant by name (see: list plants).")] = "mujoco",

@@ -350,6 +350,7 @@ _ROWS: Mapping[str, tuple[Row, ...]] = {
             "theory",
             "variance of what recordings do not show: uniform within bounds",
         ),
+        ("STEPS", 20, "told", "convention", "of a fit of a rival to other trials, or of another size"),
         ("TIGHT", 1e-12, "arithmetic", "convention", "room for what is at a bound, in units of its scale"),
     ),
     "diagnosis.localization": (

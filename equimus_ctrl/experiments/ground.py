@@ -20,7 +20,7 @@ from equimus_ctrl.experiments.conditions import KnownCondition
 from equimus_ctrl.experiments.families import CommandBounds, Family
 from equimus_ctrl.experiments.limits import Excess, Limits, Motions, shrunk
 from equimus_ctrl.experiments.predicted import SETTLING, STILL, Commands, as_noted, closed_loop_engine, resting
-from equimus_ctrl.experiments.refitting import drawn_noise
+from equimus_ctrl.identification.noise import drawn_noise
 from equimus_ctrl.identification.simulators import Simulator
 from equimus_ctrl.models.dynamics import Dynamics
 from equimus_ctrl.models.model import Model

@@ -22,7 +22,7 @@ from equimus_ctrl.diagnosis.rivals import Rival, Rivals
 from equimus_ctrl.engines.trials import Predicted
 from equimus_ctrl.experiments.starts import Starts
 from equimus_ctrl.experiments.together import together
-from equimus_ctrl.identification.noise import Noise, estimate_noise, log_likelihood, whiten
+from equimus_ctrl.identification.noise import Noise, drawn_noise, estimate_noise, log_likelihood, whiten
 from equimus_ctrl.identification.residuals import DIVERGED, difference
 from equimus_ctrl.identification.segments import Segment
 from equimus_ctrl.identification.simulators import Simulator
@@ -305,16 +305,3 @@ class NoiseScale:
 def _deviance(times: Sequence[Array], residuals: Sequence[Array]) -> float:
     """−2 log likelihood under the noise that is most likely."""
     return -2.0 * log_likelihood(estimate_noise(times, residuals), times, residuals)
-
-
-def drawn_noise(noise: Noise, time: Array, normal: Array) -> Array:
-    """(m, nc) noise at times (m,) [s], see ``identification.noise``, from standard normal numbers (2, m, nc)."""
-    white, steps = normal
-    found: Array = np.empty((len(time), len(noise)))
-    for c, own in enumerate(noise):
-        kept = np.exp(-np.diff(time) / own.time)
-        state = steps[:, c].copy()
-        for k, share in enumerate(kept, start=1):
-            state[k] = share * state[k - 1] + np.sqrt(1.0 - share**2) * state[k]
-        found[:, c] = own.white * white[:, c] + own.coloured * state
-    return found

@@ -75,6 +75,22 @@ Noise = tuple[JointNoise, ...]
 """Of every joint, and of every other channel after them."""
 
 
+def drawn_noise(noise: Noise, time: Array, normal: Array) -> Array:
+    """(m, nc) noise at times (m,) [s], from standard normal numbers (2, m, nc): white parts, then correlated ones."""
+    white, steps = normal
+    found: Array = np.empty((len(time), len(noise)))
+    for c, own in enumerate(noise):
+        found[:, c] = own.white * white[:, c]
+        if own.coloured == 0.0:
+            continue
+        kept = np.exp(-np.diff(time) / own.time)
+        state = steps[:, c].copy()
+        for k, (share, rest) in enumerate(zip(kept.tolist(), np.sqrt(1.0 - kept**2).tolist(), strict=True), start=1):
+            state[k] = share * state[k - 1] + rest * state[k]
+        found[:, c] += own.coloured * state
+    return found
+
+
 @njit(cache=True, nogil=True, error_model="numpy")
 def _innovations(time: Array, rows: Array, white: float, coloured: float, tau: float, out: Array) -> float:
     """Σ log S of the innovations of columns; ``out`` (m, k) is written with the innovations over √S."""

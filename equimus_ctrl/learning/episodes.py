@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from equimus_ctrl.errors import ConfigError, unknown_name
-from equimus_ctrl.learning.observing import LIMIT, Memory, Scaling
+from equimus_ctrl.identification.noise import Noise, drawn_noise
+from equimus_ctrl.learning.observing import Memory, Scaling, bounded
 from equimus_ctrl.learning.randomisation import Draws
 from equimus_ctrl.learning.settings import EnvSettings
 from equimus_ctrl.learning.tasks import Rows, Task
@@ -48,7 +49,7 @@ class Episodes:
         task: what is to be done, of these robots alone.
         draws: robots that episodes are on.
         settings: see ``EnvSettings``.
-        noise: (nj,) standard deviation of white noise on each measured position [rad or m].
+        noise: of each measured position.
         threads: to use; nothing depends on it.
 
     Raises:
@@ -62,7 +63,7 @@ class Episodes:
         task: Task,
         draws: Draws,
         settings: EnvSettings,
-        noise: Array,
+        noise: Noise,
         threads: int | None = None,
     ) -> None:
         if n < 1:
@@ -77,11 +78,17 @@ class Episodes:
         self.scaling = Scaling(self.plant.spec)
         task.prepare(self.plant, self.scaling)
         self._memory = Memory(n, self.scaling, settings.history)
-        self._noise = np.concatenate([noise, np.full(task.seen_size, noise.max(initial=0.0))])
+        self._noise = (*noise, *(max(noise, key=lambda own: own.sigma),) * task.seen_size)
+        self._times = np.arange(self.periods + 1) / control
         self._drawn = np.zeros((n, self.periods + 1, len(self._noise)))
         self._known: dict[int, Unit] = {}
         self.robots, self._count = np.full(n, -1), np.zeros(n, dtype=np.int64)
         self._diverged = np.zeros(n, dtype=bool)
+
+    @property
+    def count(self) -> int:
+        """How many robots there are to be drawn."""
+        return self._draws.count
 
     @property
     def size(self) -> int:
@@ -121,8 +128,9 @@ class Episodes:
         self.robots[row] = k
         start, finish = self.task.begin(row, rng)
         command = self.plant.begin(row, self.unit(int(k)), start, finish)
-        if self._noise.any():
-            self._drawn[row] = self._noise * rng.standard_normal(self._drawn.shape[1:])
+        if any(own.sigma for own in self._noise):
+            normal = rng.standard_normal((2, *self._drawn.shape[1:]))
+            self._drawn[row] = drawn_noise(self._noise, self._times, normal)
         self._count[row], self._diverged[row] = 0, False
         rows = np.array([row])
         self._memory.begin(rows, self._measured(rows), command[None])
@@ -167,7 +175,7 @@ class Episodes:
                 scaling.position(plant.position[rows]), plant.velocity[rows] / scaling.half,
                 scaling.action(plant.pressure[rows]), self.task.hidden(rows),
             ]  # fmt: skip
-        return np.clip(np.concatenate(parts, axis=1), -LIMIT, LIMIT).astype(np.float32)
+        return bounded(parts)
 
     def info(self, rows: Rows) -> dict[str, Array]:
         """(r,) each: what the task says, which ``robot`` it is, whether the simulation ``diverged``."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from functools import partial
 from typing import Any
 
@@ -10,7 +11,7 @@ from numpy.typing import NDArray
 
 from equimus_ctrl.engines.rest import rest_pose
 from equimus_ctrl.errors import ConfigError, EquimusError
-from equimus_ctrl.learning.observing import Scaling
+from equimus_ctrl.learning.observing import Scaling, TimeLeft
 from equimus_ctrl.learning.settings import KickSettings
 from equimus_ctrl.learning.tasks import Rows, Task
 from equimus_ctrl.models.ball import BALL, TOUCH, add_ball
@@ -19,6 +20,9 @@ from equimus_ctrl.models.points import points_of
 from equimus_ctrl.plants.batch import BatchPlant, Finish, Step
 from equimus_ctrl.plants.batch_group import Group
 from equimus_ctrl.types import Array, Start
+
+AIM = 10.0
+"""A ball that flies no farther off has hit the target [°]."""
 
 
 class KickScore:
@@ -82,11 +86,13 @@ class Kick(Task):
         ConfigError: where nobody says what kicks, or where the ball lies.
     """
 
-    seen_size = 3
+    finite = True
 
     def __init__(self, model: Model, settings: KickSettings) -> None:
         super().__init__("kick", settings.duration)
         self._settings = settings
+        self.seen_size = 3 if settings.seen else 0
+        self.blind = "where the ball is" if settings.seen else ""
         points = points_of(model)
         if not settings.kicker and not points.ends:
             raise ConfigError(f"{model.name}: nothing of it sticks out to kick with, expected the kicker's name")
@@ -117,13 +123,14 @@ class Kick(Task):
         self.score = KickScore(plant.n, self.direction)
         self._ball, self._velocity = np.tile(self.place, (plant.n, 1)), np.zeros((plant.n, 3))
         self._lay = self._ball.copy()
-        self._periods = plant.longest
+        self._time = TimeLeft(plant.longest)
+        self.sight = None if self._settings.seen else self._time
         self._known: dict[Group, tuple[int, int, int]] = {}
 
     @property
     def size(self) -> int:
         """As of any task."""
-        return 4
+        return self.seen_size + 1
 
     @property
     def hidden_size(self) -> int:
@@ -139,9 +146,11 @@ class Kick(Task):
         return Start(), partial(_lay, place=self._lay[row].copy())
 
     def observed(self, rows: Rows, periods: NDArray[np.int64], noise: Array) -> Array:
-        """Where the ball is seen, from its usual place and over the way after which it has gone; the time left."""
-        seen = (self._ball[rows] + noise - self.place) / self._settings.gone
-        return np.column_stack([seen, 1 - periods / self._periods])
+        """Where the ball is seen from its usual place, over the way after which it has gone; and the time left."""
+        left = self._time.left(periods)[:, None]
+        if not self._settings.seen:
+            return np.asarray(left)
+        return np.hstack([(self._ball[rows] + noise - self.place) / self._settings.gone, left])
 
     def hidden(self, rows: Rows) -> Array:
         """The ball's velocity [m/s]."""
@@ -167,6 +176,10 @@ class Kick(Task):
             joint, touch = group.base.joint(BALL), group.base.sensor(TOUCH)
             self._known[group] = int(joint.qposadr[0]), int(joint.dofadr[0]), int(touch.adr[0])
         return self._known[group]
+
+    def success(self, info: Mapping[str, Array]) -> NDArray[np.bool_]:
+        """Whether balls flew within ``AIM`` of the target."""
+        return np.asarray((info["ball_speed"] > 0) & (info["miss_angle"] <= AIM))
 
     def info(self, rows: Rows) -> dict[str, Array]:
         """``ball_speed`` towards the target [m/s], ``miss_angle`` [°] and ``kick_force`` [N]."""

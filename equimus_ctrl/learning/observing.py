@@ -2,14 +2,107 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import asdict, dataclass
+from typing import Any, ClassVar, Protocol
+
 import numpy as np
 from numpy.typing import NDArray
 
-from equimus_ctrl.errors import ConfigError
+from equimus_ctrl.errors import ConfigError, unknown_name
 from equimus_ctrl.types import Array, PlantSpec
 
 LIMIT = 10.0
 """Observations beyond this show as this."""
+AHEAD = (0.0, 0.05, 0.1, 0.2)
+"""How far ahead a policy sees the reference [s]."""
+
+
+def bounded(parts: Iterable[Array]) -> NDArray[np.float32]:
+    """(r, size) what policies see, of its parts (r, …) side by side."""
+    return np.asarray(np.clip(np.concatenate(list(parts), axis=1), -LIMIT, LIMIT), dtype=np.float32)
+
+
+class Sight(Protocol):
+    """What of a task a policy sees that also who drives a robot has: of its reference and of the clock."""
+
+    kind: ClassVar[str]
+
+    def at(self, period: int, reference: Callable[[int], Array], scaling: Scaling) -> Array:
+        """(size,) after so many control periods.
+
+        Args:
+            period: control periods since the start.
+            reference: (nj,) after so many control periods [rad or m].
+            scaling: of the robot.
+        """
+        ...
+
+
+@dataclass(frozen=True)
+class ReferenceAhead:
+    """The reference now and later.
+
+    Attributes:
+        periods: how many control periods later, one after the other.
+    """
+
+    periods: tuple[int, ...]
+    kind: ClassVar[str] = "reference"
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "periods", tuple(int(k) for k in self.periods))
+
+    @classmethod
+    def of(cls, control_dt: float) -> ReferenceAhead:
+        """``AHEAD``, with control periods of ``control_dt`` [s]."""
+        return cls(tuple(round(ahead / control_dt) for ahead in AHEAD))
+
+    def at(self, period: int, reference: Callable[[int], Array], scaling: Scaling) -> Array:
+        """As of any sight."""
+        return scaling.position(np.array([reference(period + k) for k in self.periods])).ravel()
+
+
+@dataclass(frozen=True)
+class TimeLeft:
+    """The share of the time that is left.
+
+    Attributes:
+        periods: control periods in all.
+    """
+
+    periods: int
+    kind: ClassVar[str] = "time_left"
+
+    def left(self, period: Any) -> Any:
+        """After so many control periods; none after the last."""
+        return np.maximum(1 - period / self.periods, 0.0)
+
+    def at(self, period: int, reference: Callable[[int], Array], scaling: Scaling) -> Array:
+        """As of any sight."""
+        return np.array([self.left(period)])
+
+
+SIGHTS: dict[str, type[Any]] = {own.kind: own for own in (ReferenceAhead, TimeLeft)}
+
+
+def sight_to_dict(sight: Sight) -> dict[str, Any]:
+    """As JSON data."""
+    return {"kind": sight.kind, **asdict(sight)}  # type: ignore[call-overload]
+
+
+def sight_of(data: Mapping[str, Any], where: str) -> Sight:
+    """Of JSON data.
+
+    Raises:
+        ConfigError: for an unknown kind.
+    """
+    own = dict(data)
+    kind = str(own.pop("kind", ""))
+    if kind not in SIGHTS:
+        raise ConfigError(unknown_name("kind of observation", kind, SIGHTS, where))
+    made: Sight = SIGHTS[kind](**own)
+    return made
 
 
 class Scaling:
@@ -72,6 +165,13 @@ class Memory:
         self._scaling = scaling
         self._positions = np.zeros((n, history, len(scaling.half)))
         self._actions = np.zeros((n, history, len(scaling.command_low)))
+
+    def copy(self) -> Memory:
+        """Another, that remembers the same."""
+        other = Memory.__new__(Memory)
+        other._scaling = self._scaling
+        other._positions, other._actions = self._positions.copy(), self._actions.copy()
+        return other
 
     @property
     def size(self) -> int:

@@ -9,6 +9,8 @@ import mujoco
 import numpy as np
 
 from equimus_ctrl.errors import NotAvailable, one_line
+from equimus_ctrl.learning.episodes import ROBOT, Episodes
+from equimus_ctrl.learning.evaluation import Act
 from equimus_ctrl.report.film import Frame
 from equimus_ctrl.report.film_frames import OFF
 from equimus_ctrl.report.film_geoms import Camera, camera_around, outlined
@@ -60,6 +62,30 @@ class Pictures:
             raise NotAvailable(
                 f"MuJoCo cannot render here ({one_line(str(error))}); MUJOCO_GL=off draws outlines"
             ) from None
+
+
+def film_of(episodes: Episodes, act: Act, robot: int, seed: int, fps: float = 30.0) -> tuple[list[Frame], float]:
+    """Pictures of one episode, and how many a second there are in real time.
+
+    Args:
+        episodes: of one robot at least.
+        act: what is seen doing the task.
+        robot: which of those that can be drawn.
+        seed: of start and noise.
+        fps: about how many a second are wanted.
+    """
+    pictures, row = Pictures(), np.array([0])
+    rate = episodes.plant.rates.control
+    every = max(round(rate / fps), 1)
+    episodes.begin(0, np.random.default_rng([seed, robot]), {ROBOT: robot})
+    frames = [pictures(0, *episodes.plant.seen(0))]
+    for period in range(episodes.periods):
+        done = episodes.step(row, act(episodes.observation(row), period))
+        if not (period + 1) % every:
+            frames.append(pictures(0, *episodes.plant.seen(0)))
+        if done.terminated[0]:
+            break
+    return frames, rate / every
 
 
 class Window:

@@ -26,6 +26,7 @@ class KickSettings:
         scatter: by how much the ball lies elsewhere along the direction, evenly to either side [m].
         gone: how far the ball has to come from where it lay for an episode to end [m].
         duration: of an episode that does not end before [s].
+        seen: whether policies see where the ball is; a robot without a camera does not.
 
     Raises:
         ConfigError: for a value that cannot be.
@@ -39,6 +40,7 @@ class KickSettings:
     scatter: float = 0.0
     gone: float = 0.5
     duration: float = 1.5
+    seen: bool = False
 
     def __post_init__(self) -> None:
         if self.place is not None and not (len(self.place) == 3 and all(map(math.isfinite, self.place))):

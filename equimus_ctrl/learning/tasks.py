@@ -3,21 +3,20 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Mapping
 from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from equimus_ctrl.errors import ConfigError
-from equimus_ctrl.learning.observing import Scaling
+from equimus_ctrl.learning.observing import ReferenceAhead, Scaling, Sight
 from equimus_ctrl.models.mjcf import Scene
 from equimus_ctrl.plants.batch import BatchPlant, Finish, Step
 from equimus_ctrl.scenarios.scenario import Scenario
 from equimus_ctrl.types import Array, Start
 
 Rows = NDArray[np.int64]
-AHEAD = (0.0, 0.05, 0.1, 0.2)
-"""How far ahead a policy sees the reference [s]."""
 
 
 class Task(ABC):
@@ -27,10 +26,16 @@ class Task(ABC):
         name: what it is called.
         duration: of an episode that does not end before [s].
         scene: adds what stands around a robot.
+        sight: what of it a policy sees, where a controller has that too; set by ``prepare``.
+        blind: else, what a policy sees that no controller has; a phrase.
     """
 
     scene: Scene | None = None
-    seen_size: ClassVar[int] = 0
+    sight: Sight | None = None
+    blind: str = ""
+    finite: ClassVar[bool] = False
+    """Whether the task is over with its time, which policies see, and not only the simulation."""
+    seen_size: int = 0
     """Numbers beside positions that are measured, with noise of their own."""
 
     def __init__(self, name: str, duration: float) -> None:
@@ -70,6 +75,10 @@ class Task(ABC):
     def info(self, rows: Rows) -> dict[str, Array]:
         """What has been reached, (r,) each."""
 
+    def success(self, info: Mapping[str, Array]) -> NDArray[np.bool_] | None:
+        """(r,) whether episodes that ended so have done what they should; None where only the return counts."""
+        return None
+
 
 class Follow(Task):
     """Keep the joints at a scenario's reference.
@@ -96,7 +105,8 @@ class Follow(Task):
         """As of any task."""
         self._plant, self._scaling = plant, scaling
         dt = plant.spec.control_dt
-        self._ahead = np.array([round(ahead / dt) for ahead in AHEAD])
+        self.sight = ReferenceAhead.of(dt)
+        self._ahead = np.array(self.sight.periods)
         times = np.arange(plant.longest + 1 + self._ahead[-1]) * dt
         self._reference = np.array([self._scenario.reference.position(float(t)) for t in times])
         self._turns = self._scenario.arrival is not None

@@ -20,6 +20,7 @@ from equimus_ctrl.options.offers import OnCommandLine, offered, option, with_cha
 from equimus_ctrl.options.prove import EXCITATIONS, KINDS, LEAST_DURATION, ProveOptions, Shard
 from equimus_ctrl.options.score import MOST_RATE, ScoreOptions
 from equimus_ctrl.options.sensitivity import SensitivityOptions
+from equimus_ctrl.options.train import ALGORITHMS, UNSEEN_SEED, TrainOptions
 from equimus_ctrl.options.validate import ValidateOptions
 
 if TYPE_CHECKING:
@@ -28,12 +29,14 @@ if TYPE_CHECKING:
     from equimus_ctrl.options.fields import Window as Window
 
 __all__ = [
+    "ALGORITHMS",
     "EXCITATIONS",
     "KINDS",
     "LEAST_DURATION",
     "MOST_RATE",
     "NAMES",
     "SPAN",
+    "UNSEEN_SEED",
     "AutotuneOptions",
     "CheckOptions",
     "CompareOptions",
@@ -47,6 +50,7 @@ __all__ = [
     "ScoreOptions",
     "SensitivityOptions",
     "Shard",
+    "TrainOptions",
     "ValidateOptions",
     "bounds_of",
     "key_values",

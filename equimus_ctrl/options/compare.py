@@ -52,7 +52,7 @@ class CompareOptions:
     controllers: Sequence[str | Controller | Callable[..., Any]] | None = option(
         None,
         NAMES,
-        "By name or path/to/file.py:Name; repeatable. By default pid, lqr, nmpc, sampling, those of plugins.",
+        "By name, file.py:Name, policy.zip or .onnx; repeatable. By default pid, lqr, nmpc, sampling, plugins'.",
         "--controller",
         "-c",
     )

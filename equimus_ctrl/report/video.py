@@ -8,10 +8,11 @@ import os
 import shutil
 import subprocess
 import tempfile
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
 from PIL import Image
 
 from equimus_ctrl import outputs, presets
@@ -123,6 +124,39 @@ def save_video(
     return VideoResult(path, renderer, "; ".join(notes))
 
 
+def save_frames(frames: Sequence[Frame], path: Path, fps: float) -> VideoResult:
+    """Write pictures as a video, whole or not at all; as a gif where no ffmpeg writes an mp4.
+
+    Args:
+        frames: (height, width, 3) each, alike, of even height and width.
+        path: ends in ``.mp4`` or ``.gif``.
+        fps: pictures a second.
+
+    Raises:
+        NotAvailable: for any other ending.
+    """
+    suffix, note = check_suffix(path), ""
+    size = (frames[0].shape[1], frames[0].shape[0])
+    ffmpeg = find_ffmpeg() if suffix == ".mp4" else None
+    if ffmpeg is not None:
+        try:
+            _put(iter(frames), path, fps, size, ffmpeg, ())
+            return VideoResult(path, "frames")
+        except _EncoderError as error:
+            note = f"ffmpeg could not write an mp4 ({error}), so it is a gif"
+    elif suffix == ".mp4":
+        note = WITHOUT_FFMPEG
+    own = path.with_suffix(".gif")
+    _put(iter(frames), own, fps, size, None, sorted({(int(r), int(g), int(b)) for r, g, b in _other_colours(frames)}))
+    return VideoResult(own, "frames", note)
+
+
+def _other_colours(frames: Sequence[Frame]) -> Frame:
+    """Colours of the pictures in the middle and at the end, which the first may not show."""
+    seen = np.concatenate([frames[k].reshape(-1, 3) for k in (len(frames) // 2, -1)])
+    return np.asarray(np.unique(seen // 32 * 32, axis=0))
+
+
 def find_ffmpeg() -> str | None:
     """The ffmpeg that imageio-ffmpeg brings, or the system's, or None."""
     try:
@@ -162,24 +196,35 @@ def _encode(film: Film, pictures: Iterable[Frame], path: Path, ffmpeg: str | Non
             if progress is not None:
                 progress((k + 1) / len(film.time))
 
-    frames = drawn()
+    _put(drawn(), path, film.fps, (film.width, film.height + strip.height), ffmpeg, palette_colours(film))
+
+
+def _put(
+    frames: Iterator[Frame],
+    path: Path,
+    fps: float,
+    size: tuple[int, int],
+    ffmpeg: str | None,
+    colours: Sequence[tuple[int, int, int]],
+) -> None:
+    """Write frames whole or not at all."""
     path.parent.mkdir(parents=True, exist_ok=True)
     handle, temporary = tempfile.mkstemp(dir=path.parent, suffix=f".tmp{path.suffix}")
     os.close(handle)
     try:
         if ffmpeg is None:
-            _gif(frames, Path(temporary), film)
+            _gif(frames, Path(temporary), fps, colours)
         else:
-            _mp4(frames, Path(temporary), film, strip.height, ffmpeg)
+            _mp4(frames, Path(temporary), fps, size, ffmpeg)
         os.chmod(temporary, 0o644)
         os.replace(temporary, path)
     finally:
         Path(temporary).unlink(missing_ok=True)
 
 
-def _mp4(frames: Iterator[Frame], path: Path, film: Film, strip: int, ffmpeg: str) -> None:
-    size = f"{film.width}x{film.height + strip}"
-    source = ["-f", "rawvideo", "-pix_fmt", "rgb24", "-s", size, "-r", f"{film.fps:g}", "-i", "-", "-an"]
+def _mp4(frames: Iterator[Frame], path: Path, fps: float, size: tuple[int, int], ffmpeg: str) -> None:
+    wide = f"{size[0]}x{size[1]}"
+    source = ["-f", "rawvideo", "-pix_fmt", "rgb24", "-s", wide, "-r", f"{fps:g}", "-i", "-", "-an"]
     target = ["-c:v", "libx264", "-crf", "20", "-pix_fmt", "yuv420p", "-movflags", "+faststart"]
     command = [ffmpeg, "-y", "-loglevel", "error", *source, *target, str(path)]
     with tempfile.TemporaryFile() as log:
@@ -203,10 +248,9 @@ def _mp4(frames: Iterator[Frame], path: Path, film: Film, strip: int, ffmpeg: st
             raise _EncoderError(said[-1][:160] if said else f"exit code {code}")
 
 
-def _gif(frames: Iterator[Frame], path: Path, film: Film) -> None:
+def _gif(frames: Iterator[Frame], path: Path, fps: float, colours: Sequence[tuple[int, int, int]]) -> None:
     first = Image.fromarray(next(frames))
     # One palette for all frames keeps what stands still the same, and so the file small.
-    colours = palette_colours(film)
     sample = Image.new("RGB", (first.width, first.height + 8 * len(colours)))
     sample.paste(first)
     for i, colour in enumerate(colours):
@@ -218,5 +262,5 @@ def _gif(frames: Iterator[Frame], path: Path, film: Film) -> None:
             yield Image.fromarray(frame).quantize(palette=palette, dither=Image.Dither.NONE)
 
     first.quantize(palette=palette, dither=Image.Dither.NONE).save(
-        path, save_all=True, append_images=reduced(), duration=round(1000 / film.fps), loop=0, optimize=False
+        path, save_all=True, append_images=reduced(), duration=round(1000 / fps), loop=0, optimize=False
     )

@@ -83,5 +83,14 @@ from .scores import (
     gather as gather,
     score as score,
 )
+from .training import (
+    Trained as Trained,
+    check_onnx as check_onnx,
+    export_policy as export_policy,
+    film_of_training as film_of_training,
+    train as train,
+    write_onnx as write_onnx,
+    write_training as write_training,
+)
 from .tuning import Tuned as Tuned, TunedFiles as TunedFiles, tune as tune, tune_into as tune_into
 from .validations import validate as validate

@@ -7,18 +7,16 @@ from dataclasses import fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
 from equimus_ctrl.diagnosis.results import Diagnosis
 from equimus_ctrl.diagnosis.rivals import Rivals
 from equimus_ctrl.errors import ConfigError, needs, unknown_name
+from equimus_ctrl.identification.noise import JointNoise, Noise
 from equimus_ctrl.learning.episodes import Episodes
 from equimus_ctrl.learning.kick import Kick
 from equimus_ctrl.learning.randomisation import Diagnosed, Draws, Same, Spread
 from equimus_ctrl.learning.settings import DIAGNOSIS, EnvSettings, KickSettings
 from equimus_ctrl.learning.tasks import Follow, Task
 from equimus_ctrl.models.model import Model, nominal_model
-from equimus_ctrl.types import Array
 from equimus_ctrl.workflow.experiments import rivals_in
 from equimus_ctrl.workflow.models import load_model
 from equimus_ctrl.workflow.runs import load_scenario, scenario_names
@@ -167,9 +165,9 @@ def _task(task: str, model: Model, changes: Mapping[str, Any], scenario: Mapping
 
 def _draws(
     model: Model, settings: EnvSettings, diagnosis: Path | str | Mapping[str, Any] | Diagnosis | Rivals | None
-) -> tuple[Draws, Array]:
-    """The robots, and (nj,) the noise of measured positions [rad or m]."""
-    noise = np.full(len(model.robot.joint_names), settings.noise or 0.0)
+) -> tuple[Draws, Noise]:
+    """The robots, and the noise of measured positions."""
+    noise = (JointNoise(settings.noise or 0.0),) * len(model.robot.joint_names)
     if settings.randomise != DIAGNOSIS:
         if diagnosis is not None:
             raise ConfigError("a diagnosis is given but robots are not drawn from it, expected randomise='diagnosis'")
@@ -181,7 +179,7 @@ def _draws(
         raise ConfigError("randomise is 'diagnosis', expected one: its record, its folder, or the result of diagnose")
     rivals = rivals_in(diagnosis, model)
     if settings.noise is None:
-        noise = np.array([own.sigma for own in rivals.noise[: len(noise)]])
+        noise = rivals.noise[: len(noise)]
     return Diagnosed(rivals, settings.robots, settings.robot_seed), noise
 
 

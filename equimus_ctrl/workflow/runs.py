@@ -15,6 +15,9 @@ from equimus_ctrl.controllers.registry import CONTROLLERS, make_controller
 from equimus_ctrl.effects.base import Effect
 from equimus_ctrl.engines.predict import robot_as_noted
 from equimus_ctrl.errors import ConfigError, EquimusError, SimulationDiverged, unknown_name
+from equimus_ctrl.learning.onnx_policy import OnnxPolicy
+from equimus_ctrl.learning.policy import Acting, Policy
+from equimus_ctrl.learning.policy_controller import PolicyController
 from equimus_ctrl.loop import run
 from equimus_ctrl.models.kinematics import Kinematics
 from equimus_ctrl.models.model import Model, nominal_model
@@ -33,6 +36,9 @@ from equimus_ctrl.types import Controller, Counts, CountsInstants, Ends, KnowsCo
 
 if TYPE_CHECKING:
     from pandas import DataFrame
+
+POLICIES: dict[str, Callable[[bytes, str], Acting]] = {".onnx": OnnxPolicy.from_bytes, ".zip": Policy.from_bytes}
+"""How files of policies end."""
 
 
 def recordings_of(folder: Path | None = None) -> Callable[[str], tuple[Recording, ...]]:
@@ -120,7 +126,7 @@ def load_scenario(
 def load_controller(
     name: str, scenario: Scenario, settings: Path | None = None, robot: Robot | None = None
 ) -> Controller:
-    """A controller by name, or a user's own as ``path/to/file.py:Name``.
+    """A controller by name, a policy that ``train`` wrote, or a user's own as ``path/to/file.py:Name``.
 
     Args:
         name: see ``CONTROLLERS``.
@@ -131,6 +137,11 @@ def load_controller(
     Raises:
         ControllerError, ConfigError: where there is no such controller or its settings are wrong.
     """
+    reader = None if name in CONTROLLERS else POLICIES.get(Path(name).suffix)
+    if reader is not None:
+        if settings is not None:
+            raise ConfigError(f"controller {name} takes no settings file, but {settings} was given")
+        return PolicyController(reader(presets.read_bytes(Path(name)), name), name)
     own = name not in CONTROLLERS and ".py" in name
     takes = None if own else CONTROLLERS.entry(name).settings
     if settings is not None and takes is None:
