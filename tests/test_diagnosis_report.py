@@ -255,6 +255,7 @@ def test_every_command_of_what_to_do_next_is_one(diagnosis: Diagnosis) -> None:
             assert {word for word in words[2:] if word.startswith("--")} <= known, words
 
 
+@pytest.mark.slow
 def test_an_experiment_is_named_where_something_is_left_to_decide(diagnosis: Diagnosis) -> None:
     left = with_other(diagnosis)
     given = "equimus-ctrl diagnose runs --report 'my report' --model=robot.xml --lock wrist=0.5 --plugin own.py"

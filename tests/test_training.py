@@ -42,7 +42,7 @@ def test_the_network_acts_as_torchs(kind: Any, activation: str) -> None:
     assert np.ptp(wanted) > 1e-3
 
 
-@pytest.mark.parametrize("algorithm", ["ppo", "sac"])
+@pytest.mark.parametrize("algorithm", ["ppo", pytest.param("sac", marks=pytest.mark.slow)])
 def test_stopped_and_gone_on_is_never_stopped(algorithm: str, tmp_path: Path) -> None:
     """Three rounds at once, and one, then two: the same bits, but for times."""
     own = {**SMALL, **SHORT, "algorithm": algorithm, "seed": 4}
@@ -93,6 +93,7 @@ def test_another_training_does_not_go_on(tmp_path: Path) -> None:
     assert workflow.train(tmp_path, "kick", leg(), steps=1, force=True, **{**own, "seed": 5}).settings["seed"] == 5
 
 
+@pytest.mark.slow
 def test_it_learns_to_hold(tmp_path: Path) -> None:
     """The first rounds are worse than the best, by far."""
     found = workflow.train(
