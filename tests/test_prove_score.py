@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 from pathlib import Path
 from typing import Any
 
@@ -343,6 +344,13 @@ def test_the_score_is_plain_json_and_lists_what_went_wrong() -> None:
     assert "bic: forward selection by BIC" in text and "parallel_spring.rest" in text
     assert len(sheets(found)[0].rich(3).rows) == 3
     assert [len(sheet.rich().rows) for sheet in sheets(found)] == [len(sheet.rows) for sheet in sheets(found)]
+
+
+def test_no_table_of_negatives_is_without_rows() -> None:
+    text = markdown({"seed": "0"}, scored((truth("none"), report()), (truth("none"), report())))
+    assert "## Answers that were not right\n\nNone.\n" in text
+    assert "## Single effects named right\n\nNo case has" in text
+    assert not re.search(r"---:? \|\n(\n|$)", text)
 
 
 @pytest.mark.slow

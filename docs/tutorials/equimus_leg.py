@@ -28,19 +28,21 @@ from equimus_ctrl.recordings.locate import leg_file
 from equimus_ctrl.report.diagnosis_sentences import sentence
 
 leg = eq.nominal_model()
-for actuator in leg.robot.actuators:
-    own = f"mass {actuator.mass} kg, stiffness {actuator.stiffness} N/m, area {1e4 * actuator.area:.2f} cm²"
-    print(f"{actuator.name}: {own}")
+print("mass, stiffness, area")
+for own in leg.robot.actuators:
+    area = 1e4 * own.area
+    print(f"{own.name}: {own.mass:g} kg, {own.stiffness:g} N/m, {area:.2f} cm²")
 
 # %% [markdown]
 # Two models are made of this one description: a MuJoCo model whose actuators are 3-2-1 elements, which have the energy
 # of real elastic rods, and the exact equations of motion, compiled. A sweep of pressures simulated by the first is
-# predicted by the second to some microradians:
+# predicted by the second to about a microradian:
 
 # %%
 folder = Path(tempfile.mkdtemp())
 eq.run_scenario("chirp", record=folder / "sweep.csv", options={"duration": "8"})
-print("RMSE of hip and knee [rad]:", eq.score(folder / "sweep.csv").rmse)
+hip, knee = 1e6 * eq.score(folder / "sweep.csv").rmse
+print(f"RMSE: hip {hip:.2f}, knee {knee:.2f} µrad")
 
 # %% [markdown]
 # ## Beside the real leg
@@ -57,10 +59,9 @@ if triangle is None:
 else:
     trial = eq.read_recording(triangle, leg)
     predicted = eq.predict(leg, trial)
-    print(
-        "RMSE of hip and knee [rad]:",
-        np.sqrt(np.mean((trial.position - predicted) ** 2, axis=0)).round(4),
-    )
+    error = trial.position - predicted
+    hip, knee = 1e3 * np.sqrt(np.mean(error**2, axis=0))
+    print(f"RMSE: hip {hip:.0f}, knee {knee:.0f} mrad")
     figure, axes = plt.subplots(1, 2, figsize=(9, 3), layout="constrained")
     for k, axis in enumerate(axes):
         axis.plot(trial.time, np.degrees(trial.position[:, k]), label="measured")
@@ -118,8 +119,10 @@ runs = {
     ),
 }
 figure, axes = plt.subplots(1, 2, figsize=(9, 3), sharey=True, layout="constrained")
+print("RMSE of hip / knee [mrad]")
 for name, done in runs.items():
-    print(f"{name}: RMSE {(1e3 * done.score.tracking.rmse).round(1)} mrad")
+    hip, knee = 1e3 * done.score.tracking.rmse
+    print(f"{name}: {hip:.1f} / {knee:.1f}")
     circle = done.run.time >= done.score.window[0]
     for k, axis in enumerate(axes):
         axis.plot(

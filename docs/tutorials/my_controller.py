@@ -35,7 +35,8 @@ class FeedForward:
 
 
 done = eq.run_scenario("hold", FeedForward, options={"hip": "80", "knee": "30"})
-print("RMSE of hip and knee [rad]:", done.score.tracking.rmse.round(4))
+hip, knee = 1e3 * done.score.tracking.rmse
+print(f"RMSE: hip {hip:.1f}, knee {knee:.1f} mrad")
 
 
 # %% [markdown]
@@ -61,7 +62,8 @@ def shown(runs, title):
             label="reference",
         )
         axes[k].set(xlabel="time [s]", ylabel=f"{joint} [°]")
-    axes[0].legend()
+    lines = axes[0].get_legend_handles_labels()
+    figure.legend(*lines, loc="outside lower center", ncols=3)
     figure.suptitle(title)
 
 
@@ -75,7 +77,8 @@ shown({"feed-forward": done}, "No error is seen, so none is corrected")
 load = eq.PayloadMass("foot", mass=0.1)
 pose = {"hip": "80", "knee": "30"}
 loaded = eq.run_scenario("hold", FeedForward, effects=[load], options=pose)
-print("RMSE [rad]:", loaded.score.tracking.rmse.round(4))
+hip, knee = 1e3 * loaded.score.tracking.rmse
+print(f"RMSE: hip {hip:.1f}, knee {knee:.1f} mrad")
 
 # %% [markdown]
 # ## Feedback
@@ -151,9 +154,15 @@ found = eq.compare(
     draws=1,
     scenario_options={"duration": "8"},
 )
-for entry in found.entries:
-    error = entry.failure or np.array2string(1e3 * entry.error.rmse, precision=1)
-    print(f"{entry.condition:18s} {entry.controller:12s} {error} mrad")
+print("RMSE of hip / knee [mrad]")
+for condition in conditions:
+    print(condition)
+    for entry in found.entries:
+        if entry.condition == condition:
+            error = entry.failure or "{:5.1f} / {:5.1f}".format(
+                *(1e3 * entry.error.rmse)
+            )
+            print(f"  {entry.controller:11s} {error}")
 
 # %% [markdown]
 # Feedback lowers what feed-forward leaves, and the PID is far ahead of both on the model it knows: it feeds forward the

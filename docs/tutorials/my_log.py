@@ -23,7 +23,6 @@ import tempfile
 from pathlib import Path
 
 import matplotlib.pyplot as plt
-import numpy as np
 
 import equimus_ctrl as eq
 from equimus_ctrl.report.diagnosis_sentences import sentence
@@ -63,7 +62,7 @@ checked.figure()
 
 # %%
 before = eq.score(recordings, model)
-print("RMSE of the initial model [rad]:", np.round(before.rmse, 4))
+print(f"RMSE of the initial model: {1e3 * before.rmse[0]:.1f} mrad")
 
 # %% [markdown]
 # ## Diagnose
@@ -93,12 +92,8 @@ figures["finding_1"]
 eq.save_model(folder / "augmented.toml", found.corrected)
 print((folder / "augmented.toml").read_text())
 after = eq.score(recordings, eq.load_model(folder / "augmented.toml"))
-print(
-    "RMSE [rad]: initial",
-    np.round(before.rmse, 4),
-    "augmented",
-    np.round(after.rmse, 4),
-)
+print(f"RMSE, initial model:   {1e3 * before.rmse[0]:5.1f} mrad")
+print(f"RMSE, augmented model: {1e3 * after.rmse[0]:5.1f} mrad")
 
 # %% [markdown]
 # The score is of all four recordings. The diagnosis's error above is smaller: it is of the held-out one, and what

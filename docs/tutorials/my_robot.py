@@ -62,7 +62,8 @@ print("actuators:", *arm.robot.actuator_names)
 
 # %%
 placed = eq.run_scenario("step", "pid", model=arm)
-print("RMSE of shoulder and elbow [rad]:", placed.score.tracking.rmse.round(4))
+shoulder, elbow = 1e3 * placed.score.tracking.rmse
+print(f"RMSE: shoulder {shoulder:.1f}, elbow {elbow:.1f} mrad")
 
 
 # %%
@@ -84,7 +85,8 @@ def shown(runs, title):
             label="reference",
         )
         axis.set(xlabel="time [s]", ylabel=f"{done.run.spec.joints[k]} [°]")
-    axes[0, 0].legend()
+    lines = axes[0, 0].get_legend_handles_labels()
+    figure.legend(*lines, loc="outside lower center", ncols=3)
     figure.suptitle(title)
 
 
@@ -102,12 +104,12 @@ where = {"folder": folder / "tuning", "output": folder / "pid.toml"}
 tuned = eq.tune(
     "pid", model=arm, scenarios=["track"], candidates=8, seed=7, workers=1, **where
 )
+print(f"{'':15s}   first   tuned")
 for what, first, best in tuned.result.found()[2]:
-    print(f"{what:15s} first {first:.3g}, tuned {best:.3g}")
+    print(f"{what:15s} {first:7.3g} {best:7.3g}")
 unseen = json.loads(tuned.record.read_text())["unseen"]
-print(
-    f"median cost on robots never tuned on: first {unseen['start_median']:.4f}, tuned {unseen['median']:.4f}"
-)
+print("median cost on robots never tuned on:")
+print(f"first {unseen['start_median']:.4f}, tuned {unseen['median']:.4f}")
 
 # %% [markdown]
 # With these settings, noise of 1 mrad on the angles and a dead time of 20 ms in the shoulder's drive that the
@@ -141,9 +143,12 @@ for k, axis in enumerate(axes):
         ylabel="tracking error [mrad]",
         title=arm.robot.joint_names[k],
     )
-axes[0].legend()
+lines = axes[0].get_legend_handles_labels()
+figure.legend(*lines, loc="outside lower center", ncols=2)
+print("RMSE of shoulder / elbow [mrad]")
 for name, done in runs.items():
-    print(f"{name:13s} RMSE {(1e3 * done.score.tracking.rmse).round(2)} mrad")
+    shoulder, elbow = 1e3 * done.score.tracking.rmse
+    print(f"{name:12s} {shoulder:5.1f} / {elbow:5.1f}")
 
 # %% [markdown]
 # ## The tip along a triangle
@@ -162,10 +167,8 @@ path = eq.run_scenario(
     settings=folder / "pid.toml",
     options=options,
 )
-print(
-    "distance of the tip from its path, RMSE [mm]:",
-    (1e3 * path.score.site.rmse).round(2),
-)
+off = 1e3 * path.score.site.rmse[0]
+print(f"RMSE of the tip's distance from its path: {off:.2f} mm")
 
 # %% [markdown]
 # ## Fewer actuators than joints

@@ -32,12 +32,10 @@ so101 = (
     folder / "so101" if folder is not None and (folder / "so101").is_dir() else None
 )
 if so101 is None:
-    print(
-        "The recordings are not here, so the cells below show nothing: name a folder that has so101/ in it by"
-    )
-    print(
-        "EQUIMUS_RECORDINGS. What they show is told in the page on the SO-101 under Evidence."
-    )
+    print("The recordings are not here, so the cells")
+    print("below show nothing: name a folder that has")
+    print("so101/ in it by EQUIMUS_RECORDINGS. What they")
+    print("show is told in the page on the SO-101.")
 
 # %% [markdown]
 # ## The published model
@@ -56,7 +54,7 @@ if so101 is not None:
     trials = [eq.read_recording(so101 / f"{name}.csv", model) for name in LOOKED_AT]
     judging = eq.read_recording(so101 / f"{JUDGING}.csv", model)
     for trial in (*trials, judging):
-        print(f"{trial.name:26s} {trial.time[-1]:6.1f} s, {len(trial.time)} rows")
+        print(f"{trial.name:25s} {trial.time[-1]:5.1f} s")
 
 # %% [markdown]
 # ## Refit the servos
@@ -78,13 +76,12 @@ if so101 is not None:
     )
     print("verdict:", found.verdict)
     published = model.robot.parameters()
-    print(f"{'':28s}published refitted  95 % interval")
+    print("published → refitted (95 % interval)")
     for name, one in found.to_dict()["parameters"].items():
         none = None in (one["low"], one["high"])
         ends = "none" if none else f"{one['low']:.3g} to {one['high']:.3g}"
-        print(
-            f"{name:28s}{published[name]:9.3g} {one['value']:8.3g}  {ends} {one['unit']}"
-        )
+        print(f"{name} [{one['unit']}]")
+        print(f"    {published[name]:.3g} → {one['value']:.3g} ({ends})")
 
 # %% [markdown]
 # Intervals hold for noise and for what these motions excite, not for physics that the model lacks: nothing loads the
@@ -98,17 +95,18 @@ if so101 is not None:
     figure, axes = plt.subplots(
         2, 1, figsize=(9, 5), sharex=True, layout="constrained"
     )
-    shown = joints.index("elbow_flex")
+    shown = joints.index("wrist_flex")
     seen = judging.time < 40
     time = judging.time[seen]
     measured = judging.position
     axes[0].plot(
         time, np.degrees(measured[seen, shown]), "k", linewidth=1, label="measured"
     )
-    for name, one in {"published": model, "refitted": found.refitted}.items():
+    models = {"published": model, "refitted": found.refitted}
+    rmse = {}
+    for name, one in models.items():
         predicted = eq.predict(one, judging)
-        rmse = 1e3 * np.sqrt(((measured - predicted) ** 2).mean(axis=0))
-        print(f"{name:11s} RMSE of {', '.join(joints)}: {rmse.round(1)} mrad")
+        rmse[name] = 1e3 * np.sqrt(((measured - predicted) ** 2).mean(axis=0))
         axes[0].plot(
             time, np.degrees(predicted[seen, shown]), linewidth=1, label=name
         )
@@ -116,11 +114,16 @@ if so101 is not None:
             time, 1e3 * (measured - predicted)[seen, shown], linewidth=1, label=name
         )
     axes[0].set(
-        ylabel="elbow_flex [°]",
+        ylabel="wrist_flex [°]",
         title=f"{judging.name}, simulated whole from its first row",
     )
     axes[1].set(xlabel="time [s]", ylabel="residual [mrad]")
-    axes[0].legend()
+    lines = axes[0].get_legend_handles_labels()
+    figure.legend(*lines, loc="outside lower center", ncols=3)
+    print("RMSE [mrad]  ", *models)
+    for k, joint in enumerate(joints):
+        errors = "".join(f"{rmse[name][k]:10.1f}" for name in models)
+        print(f"{joint:13s}{errors}")
 
 # %% [markdown]
 # ## What else is missing

@@ -241,7 +241,7 @@ def splits_figure(splits: SplitComparison) -> Figure:
     """The first parameter of what most splits name, with its interval in each of them."""
     shown = splits.effects[:MOST_EFFECTS]
     height = -(-len(shown) // COLUMNS)
-    drawn = style.new_figure(WIDTH, 0.5 + PANEL_HEIGHT * height)
+    drawn = style.new_figure(WIDTH, 1.1 + PANEL_HEIGHT * height, "First size of each effect over the splits")
     grid = drawn.subplots(height, COLUMNS, squeeze=False)
     for axes in grid.flat[len(shown) :]:
         axes.set_visible(False)
@@ -263,8 +263,11 @@ def splits_figure(splits: SplitComparison) -> Figure:
         for number in sorted(place.keys() - effect.named):
             axes.axvspan(place[number] - 0.4, place[number] + 0.4, color=style.SHADE, linewidth=0)
         axes.set_xlim(-BESIDE - 0.1, len(place) - 1 + BESIDE + 0.1)
-        axes.set_xticks(range(len(place)), [which(number) for number in place])
+        axes.set_xticks(range(len(place)), [which(number)[:3] for number in place])
         label = key.replace("_", " ")
         y = f"{label} [{scale.unit}]" if scale.unit else label
         style.dress(axes, title=f"{named(effect)}: {len(effect.named)} of {len(place)}", y=y)
+    looks = ((style.JOINT_COLOURS[0], "default split (def), 95 % interval"), (style.FAINT, "random splits, by number"))
+    handles: list[Artist] = [Line2D([], [], color=colour, marker="o", label=label) for colour, label in looks]
+    style.legend_below(drawn, [*handles, Patch(color=style.SHADE, label="not named in this split")])
     return drawn

@@ -37,7 +37,7 @@ from equimus_ctrl.report.diagnosis_panels import Panel, Scene
 from equimus_ctrl.report.diagnosis_words import listed, number, reading, short
 from equimus_ctrl.types import Array
 
-COLOURS = {"nominal": "#B0A08A", "refitted": "#D55E00", "corrected": "#0072B2"}
+COLOURS = {"nominal": style.JOINT_COLOURS[3], "refitted": "#D55E00", "corrected": "#0072B2"}
 WORDS = {"nominal": "nominal", "refitted": "refitted", "corrected": "augmented"}
 MOST_TRIALS = 3
 """Rows of joints of which a trial is shown: so many trials of a few joints, one of many."""

@@ -93,7 +93,7 @@ def _box(x: float, y: float) -> Patch:
 
 def power_figure(score: Score) -> Figure:
     """How often each method is right over how strong the missing physics is."""
-    figure = style.new_figure(13.0, 7.6, "Right answers against excess residual variance")
+    figure = style.new_figure(10.0, 6.6, "Right answers against excess residual variance")
     grid = figure.subplots(2, 2, sharex=True, sharey=True).ravel()
     panels: Sequence[tuple[str, str]] = (
         ("single", "one effect of the catalogue: exactly named"),
@@ -151,36 +151,35 @@ def _legend(score: Score) -> list[Line2D]:
 
 def false_alarms_figure(score: Score) -> Figure:
     """Alarms where nothing is missing, with 95 % intervals."""
-    figure = style.new_figure(9.0, 4.6, "False alarms where nothing is missing")
+    figure = style.new_figure(8.0, 4.4, "False alarms where nothing is missing")
     axes = figure.add_subplot()
     groups = ("all", "white", "coloured")
     count = len(score.tallies)
     for k, (method, own) in enumerate(score.tallies.items()):
-        colour, _ = LOOK.get(method, (style.FAINT, "o"))
+        colour, marker = LOOK.get(method, (style.FAINT, "o"))
         x = [g + 0.8 * ((k + 0.5) / count - 0.5) for g in range(len(groups))]
-        shares = [own.false_alarms[g] for g in groups]
-        heights = [100 * s.value if s.of else 0.0 for s in shares]
-        axes.bar(x, heights, width=0.7 / count, color=colour, alpha=0.75, zorder=2)
-        known = [(place, s) for place, s in zip(x, shares, strict=True) if s.of]
+        known = [(place, own.false_alarms[g]) for place, g in zip(x, groups, strict=True) if own.false_alarms[g].of]
         if known:
-            _with_bars(axes, [p for p, _ in known], [s for _, s in known], style.INK, "o")
+            _with_bars(axes, [p for p, _ in known], [s for _, s in known], colour, marker)
     axes.axhline(100 * MOST_FALSE_ALARMS, color=style.ALERT, linestyle=style.DASHES, linewidth=1.2, zorder=4)
     estimates = [score.ours.false_alarms[g].of for g in groups]
     names = ("all", "white noise", "coloured noise")
     axes.set_xticks(range(len(groups)), [f"{n}\n{c} cases" for n, c in zip(names, estimates, strict=True)])
-    axes.set_ylim(bottom=0)
-    style.dress(axes, y="share of the cases [%]")
+    axes.set_ylim(bottom=-0.04 * axes.get_ylim()[1])  # a mark at 0 is seen whole
+    axes.set_xlim(-0.5, len(groups) - 0.5)
+    style.dress(axes, y="share of the cases [%], with its 95 % interval")
     axes.grid(False, axis="x")
-    handles = [Patch(color=LOOK[m][0], alpha=0.75, label=METHODS[m]) for m in score.tallies if m in LOOK]
-    goal = Line2D([], [], color=style.ALERT, linestyle=style.DASHES, label="goal")
-    style.legend_below(figure, [*handles, goal])
+    goal = Line2D(
+        [], [], color=style.ALERT, linestyle=style.DASHES, label=f"goal: {100 * MOST_FALSE_ALARMS:g} % at most"
+    )
+    style.legend_below(figure, [*_legend(score), goal])
     return figure
 
 
 def parameters_figure(score: Score) -> Figure:
     """Sizes estimated against true ones, normalised by each parameter's median true size, and the errors' spread."""
     estimates = [n for n in score.estimates[OURS] if n.zero is not None]
-    figure = style.new_figure(13.0, 6.0, "Parameters of what was named right")
+    figure = style.new_figure(10.0, 5.2, "Parameters of what was named right")
     left, right = figure.subplots(1, 2)
     medians = {
         key: _median([n for n in estimates if (n.of, n.name) == key]) for key in {(n.of, n.name) for n in estimates}
@@ -256,10 +255,13 @@ def coverage_figure(score: Score) -> Figure:
 
 def heldout_figure(score: Score) -> Figure:
     """Share of the excess residual variance on test trials that the augmented models explain."""
-    figure = style.new_figure(9.0, 4.4, "Excess residual variance on held-out trials that the augmented model explains")
+    figure = style.new_figure(8.0, 4.2, "Excess residual variance explained on held-out trials")
     axes = figure.add_subplot()
     shares = 100 * np.clip([h.share for h in score.heldout], -0.25, 1.0)
-    axes.hist(shares, bins=[-25.0 + 2.5 * k for k in range(51)], color=style.JOINT_COLOURS[0], alpha=0.8, zorder=3)
+    bins = np.arange(-25.0, 102.5, 2.5)
+    axes.hist(shares, bins=list(bins), color=style.JOINT_COLOURS[0], alpha=0.8, zorder=3)
+    least = min([100 * LEAST_HELD_OUT, *shares])
+    axes.set_xlim(bins[bins <= least][-1] - 5, 102.5)
     axes.axvline(100 * LEAST_HELD_OUT, color=style.ALERT, linestyle=style.DASHES, linewidth=1.2, zorder=4)
     axes.yaxis.set_major_locator(MaxNLocator(integer=True))
     style.dress(

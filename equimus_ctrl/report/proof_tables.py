@@ -59,9 +59,12 @@ class Sheet:
 
     def markdown(self) -> str:
         """For a file."""
-        lines = [f"## {self.title}", "", _line(self.columns), _line(["---", *["---:"] * (len(self.columns) - 1)])]
-        lines += [_line(row) for row in self.rows]
-        return "\n".join([*lines, "", *([self.note, ""] if self.note else [])])
+        lines = [f"## {self.title}", ""]
+        if self.rows:
+            lines += [_line(self.columns), _line(["---", *["---:"] * (len(self.columns) - 1)])]
+            lines += [*map(_line, self.rows), ""]
+        note = self.note if self.rows or self.note else "None."
+        return "\n".join([*lines, *([note, ""] if note else [])])
 
 
 def _line(cells: Sequence[str]) -> str:
@@ -182,7 +185,12 @@ def effects_sheet(score: Score) -> Sheet:
     """Strong single effects, one by one."""
     tables = [t.effects for t in score.tallies.values()]
     rows = [(name, *(_short(table[name]) for table in tables)) for name in tables[0]]
-    return Sheet("Single effects named right", ("", *score.tallies), tuple(rows))
+    return Sheet(
+        "Single effects named right",
+        ("", *score.tallies),
+        tuple(rows),
+        "" if rows else "No case has a single effect that counts.",
+    )
 
 
 def estimates_sheet(score: Score) -> Sheet:
@@ -204,8 +212,13 @@ def estimates_sheet(score: Score) -> Sheet:
 
 
 def _errors(estimates: Sequence[ParameterEstimate]) -> tuple[str, str, str]:
-    error = f"{100 * median(n.error for n in estimates):.2g} %" if estimates else NOTHING
+    error = f"{_two_digits(100 * median(n.error for n in estimates))} %" if estimates else NOTHING
     return str(len(estimates)), error, str(Share.among(n.covered for n in estimates))
+
+
+def _two_digits(value: float) -> str:
+    """Rounded to two digits, without a power of ten where a number is as short: 1.4, 220."""
+    return f"{float(f'{value:.2g}'):g}"
 
 
 def wrong_sheet(score: Score) -> Sheet:
