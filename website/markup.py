@@ -6,11 +6,16 @@ import re
 from html import unescape
 
 SPAN = re.compile(r"(?<!<pre>)(?<!<span></span>)<code>([^<]+)</code>")
-JOINT = re.compile(r"(?<=[/_.,:=(])(?=[^\s/_.,:=(])")
+JOINT = re.compile(
+    r"(?<=[/_,:=(|+])(?=[^\s/_.,:=(|+])"  # behind what joins words,
+    r"|(?<=[^\d\s]\.)(?=[^\s/_.,:=(])(?!\w{1,7}(?![\w.]))"  # and a dot, but before a file's ending and in a number
+)
+"""Where a line of code may end."""
 LONGEST = 28
 """Characters that fit in a line of a list on a phone."""
 COMMANDS = re.compile(r'<div class="language-sh highlight">.*?</div>', re.DOTALL)
 FLAG = re.compile(r"(?<![\w.\"/-])--?[a-z][a-z-]*(?![\w.\"]*[\">])")
+ENTRY = re.compile(r'<h3 id="(?P<module>equimus_ctrl[\w.]*)\.\w+" class="doc doc-heading">(?P<name>.*?)(?=<a class="headerlink")', re.DOTALL)
 FIGURE = re.compile(r'<p>(<img [^>]*?src="([^":]+)"[^>]*>)')
 
 
@@ -37,3 +42,15 @@ def commands(html: str) -> str:
 def opened(html: str) -> str:
     """The same page; a figure is a link to itself, which a browser shows in its full size."""
     return FIGURE.sub(r'<p><a href="\2">\1</a>', html)
+
+
+def located(html: str) -> str:
+    """The same page; of what a program imports its module stands beside, and its name may break at its joints."""
+
+    def entry(found: re.Match[str]) -> str:
+        name = re.sub(r"(?<=eq\.)(?=\w)|(?<=_)(?=\w)|(?<=[a-z])(?=[A-Z])", "<wbr>", found["name"].strip())
+        module = found["module"].replace(".", ".<wbr>")
+        head = found[0][: found.start("name") - found.start()]
+        return f'{head}{name} <small class="module">{module}</small>'
+
+    return ENTRY.sub(entry, html)
