@@ -14,11 +14,12 @@ from pathlib import Path
 
 import reference
 from lists import aligned
-from markup import commands, located, opened, unbroken
+from markup import commands, located, notebook, opened, unbroken
 from mkdocs.config.defaults import MkDocsConfig
 from mkdocs.structure.files import File, Files
 from mkdocs.structure.pages import Page
 from records import is_record, record
+from tables import roomy
 
 ROOT = Path(__file__).resolve().parent.parent
 PAGES = ("CHANGELOG.md", "CONTRIBUTING.md", "README.md", "RELEASING.md", "SECURITY.md")
@@ -50,7 +51,9 @@ def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Fil
 
 def on_page_content(html: str, page: Page, config: MkDocsConfig, files: Files) -> str:
     """Keep code in one piece, open figures, let links of notebooks lead to pages, as MkDocs does of Markdown."""
-    html = located(opened(commands(unbroken(html))))
+    if page.file.src_uri.endswith(".py"):
+        html = notebook(html)
+    html = roomy(located(opened(commands(unbroken(html)))))
     if not page.file.src_uri.endswith(".py"):
         return html
 

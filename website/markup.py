@@ -15,7 +15,15 @@ LONGEST = 28
 """Characters that fit in a line of a list on a phone."""
 COMMANDS = re.compile(r'<div class="language-sh highlight">.*?</div>', re.DOTALL)
 FLAG = re.compile(r"(?<![\w.\"/-])--?[a-z][a-z-]*(?![\w.\"]*[\">])")
-ENTRY = re.compile(r'<h3 id="(?P<module>equimus_ctrl[\w.]*)\.\w+" class="doc doc-heading">(?P<name>.*?)(?=<a class="headerlink")', re.DOTALL)
+ENTRY = re.compile(
+    r'<h3 id="(?P<module>equimus_ctrl[\w.]*)\.\w+" class="doc doc-heading">(?P<name>.*?)(?=<a [^>]*class="headerlink")',
+    re.DOTALL,
+)
+BLOCK = re.compile(r'<div class="highlight"><pre><span></span>(?P<lines>equimus-ctrl\b.*?)</pre>', re.DOTALL)
+"""Commands in the prose of a notebook."""
+PRINTED = re.compile(r'(?P<head><div class="jp-RenderedText[^>]*>\s*<pre)(?P<text>>.*?</pre>)', re.DOTALL)
+WIDEST = 120
+"""Characters of a printed table's line; longer ones are prose, and wrap."""
 FIGURE = re.compile(r'<p>(<img [^>]*?src="([^":]+)"[^>]*>)')
 
 
@@ -54,3 +62,22 @@ def located(html: str) -> str:
         return f'{head}{name} <small class="module">{module}</small>'
 
     return ENTRY.sub(entry, html)
+
+
+def notebook(html: str) -> str:
+    """The same page of a notebook: its commands as on other pages, and what is printed as a table in lines of its own."""
+
+    def block(found: re.Match[str]) -> str:
+        lines = [f'<span id="__line-{found.start()}-{k}">{line}\n</span>' for k, line in enumerate(_lines(found["lines"]))]
+        return f'<div class="language-sh highlight"><pre><span></span><code>{"".join(lines)}</code></pre>'
+
+    def printed(found: re.Match[str]) -> str:
+        lines = unescape(re.sub(r"<[^>]+>", "", found["text"][1:])).splitlines()
+        table = any(re.search(r"\S {2,}\S", line) for line in lines) and max(map(len, lines)) <= WIDEST
+        return found["head"] + (' class="table"' if table else "") + found["text"]
+
+    return PRINTED.sub(printed, BLOCK.sub(block, html))
+
+
+def _lines(html: str) -> list[str]:
+    return html.rstrip("\n").split("\n")
