@@ -5,8 +5,6 @@ from __future__ import annotations
 import posixpath
 import re
 
-from markup import JOINT
-
 from equimus_ctrl.report.proof_tables import numbers
 
 RECORD = re.compile(r"proof/.+/score\.md")
@@ -17,8 +15,9 @@ OLDER = "This is a record, in the words of its time; [what they mean]({up}glossa
 HEAD = re.compile(r"(?m)^- (robot|seed|cases): ([^,\n]+)(?:, all of kind (\w+))?")
 TABLE = re.compile(r"(?m)^\|.*\|\n\|(?: *:?-+:? *\|)+\n(?:\|.*\|(?:\n|\Z))*")
 BAR = re.compile(r"(?<!\\)\|")
-LONG = re.compile(r"[\w.:+]{20,}")
-"""Names that are too long for a cell that is to stand beside others."""
+JOINED = re.compile(r"(?<=\w[:+])(?=\w)")
+"""Where a line may end in an effect with its places."""
+SMALL = re.compile(r"\b(\d[\d.]*)e([-+]\d+)\b")
 
 
 def is_record(uri: str) -> bool:
@@ -49,5 +48,10 @@ def titled(uri: str, title: str, rest: str) -> str:
 def _table(text: str) -> str:
     head, _, *rows = ([cell.strip() for cell in BAR.split(line)[1:-1]] for line in text.splitlines())
     rule = ["---:" if number else "---" for number in numbers(len(head), rows)]
-    named = [[LONG.sub(lambda name: JOINT.sub("<wbr>", name[0]), cell) for cell in row] for row in rows]
-    return "".join(f"| {' | '.join(row)} |\n" for row in (head, rule, *named))
+    shown = [[_cell(cell) for cell in row] for row in rows]
+    return "".join(f"| {' | '.join(row)} |\n" for row in (head, rule, *shown))
+
+
+def _cell(text: str) -> str:
+    power = SMALL.sub(lambda found: f"{found[1]}·10<sup>{int(found[2])}</sup>".replace("-", "−"), text)
+    return JOINED.sub("<wbr>", power)

@@ -78,7 +78,14 @@ def _row(parameter: Any, context: Any) -> str:
     text, _, default = TAG.sub("", text).partition("[default: ")
     text = _escaped(text).replace("|", chr(92) + "|")  # within code a bar is no end of a cell, and a backslash stays
     shown = f"`{default.rstrip(']')}`" if default else ""
-    return f"| `{names.strip()}` | {text} | {shown} |"
+    return f"| {_named(names.strip())} | {text} | {shown} |"
+
+
+def _named(text: str) -> str:
+    """Names of an option, between which a line may end, and what stands for its value, which may come in the next."""
+    names, value = re.fullmatch(r"((?:-\S+(?: /)? ?)+|\S+ ?)(.*)", text).groups()
+    shown = re.sub(r"[^\s,/]+", r"`\g<0>`", names.strip())
+    return f"{shown} `{value}`" if value else shown
 
 
 def _escaped(text: str) -> str:

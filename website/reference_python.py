@@ -65,7 +65,7 @@ def pages(stub: Path) -> dict[str, str]:
         parts += [ENTRY.format(path=path, name=path.rpartition(".")[2]) for path in entries]
         made[f"{FOLDER}/{section.name}.md"] = "\n\n".join(parts) + "\n"
     rows = ["| name | module | what it is |", "| --- | --- | --- |"]
-    rows += [_more(path, found) for path, found in types(offered).items()]
+    rows += [_more(path, found, paths) for path, (found, paths) in types(offered).items()]
     made[f"{FOLDER}/{MORE.name}.md"] = "\n\n".join([f"# {MORE.title}", MORE.note, "\n".join(rows)]) + "\n"
     return made
 
@@ -77,15 +77,17 @@ def names(stub: Path) -> list[tuple[str, str]]:
         if isinstance(node, ast.ImportFrom):
             for alias in node.names:
                 path = f"{node.module}.{alias.name}" if node.module else alias.name
+                if node.module and _package()[path].is_module:  # a function that is called as its module
+                    path = f"{path}.{alias.name}"
                 found.append((path.partition(".")[0], path))
     return found
 
 
-def types(offered: list[tuple[str, str]]) -> Mapping[str, Any]:
-    """Path → class or alias of the package that signatures of what is offered name without being offered, by name."""
+def types(offered: list[tuple[str, str]]) -> Mapping[str, tuple[Any, set[str]]]:
+    """What signatures of what is offered name without its being offered: path → class or alias, all its paths."""
     package = _package()
     own = {package[path].canonical_path for _, path in offered}
-    found = {}
+    found: dict[str, tuple[Any, set[str]]] = {}
     for _, path in offered:
         for used in _named(_target(package[path])):
             if not used.startswith("equimus_ctrl.") or used.rpartition(".")[2].startswith("_"):
@@ -93,7 +95,7 @@ def types(offered: list[tuple[str, str]]) -> Mapping[str, Any]:
             target = _target(package[used.removeprefix("equimus_ctrl.")])
             is_type = target.is_class or (target.is_attribute and not _is_variable(target))
             if is_type and target.canonical_path not in own:
-                found[target.canonical_path] = target
+                found.setdefault(target.canonical_path, (target, {target.canonical_path}))[1].add(used)
     return dict(sorted(found.items(), key=lambda item: (item[0].rpartition(".")[2].lower(), item[0])))
 
 
@@ -163,7 +165,7 @@ def _first(found: Any) -> str:
     return plain
 
 
-def _more(path: str, found: Any) -> str:
-    value = "" if found.is_class else f"`{found.value}`"
-    text = " ".join(filter(None, [_first(found), value]))
-    return f"| []({{}}){{#{path}}}`{_last(path)}` | `{path.rpartition('.')[0]}` | {text} |".replace("({})", "()")
+def _more(path: str, found: Any, paths: set[str]) -> str:
+    text = " ".join(filter(None, [_first(found), "" if found.is_class else f"`{found.value}`"]))
+    anchors = "".join(f"[](){{#{one}}}" for one in sorted(paths))
+    return f"| {anchors}`{_last(path)}` | `{path.rpartition('.')[0]}` | {text} |"

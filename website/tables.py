@@ -13,12 +13,12 @@ SCREEN, LEAST, EDGES = 368.0, 114.0, 33.0
 """Width that a phone of 400 px has for a table, a column's least one in the style sheet, a cell's padding [px]."""
 LETTER = 7.0
 """Width of a letter of a table [px]."""
-PROSE = 60
-"""A column is one of prose where a cell has more letters than this outside code."""
+PROSE, FEW = 36, 8
+"""A column is one of prose where a cell has more letters than this outside code, and one of few where none has more."""
 
 
 def roomy(html: str) -> str:
-    """The same page; cells of prose have the class ``prose`` in tables that scroll on a phone."""
+    """The same page; in tables that scroll on a phone cells have the class ``prose`` or ``few`` where they are such."""
     return TABLE.sub(lambda found: _table(found[0]), html)
 
 
@@ -26,21 +26,26 @@ def _table(table: str) -> str:
     rows = [[cell["inside"] for cell in CELL.finditer(row)] for row in ROW.findall(table)]
     columns = list(zip(*[row for row in rows if len(row) == len(rows[0])], strict=True)) if rows else []
     widths = [max(LEAST, *(EDGES + LETTER * _unbroken(cell) for cell in column)) for column in columns]
-    if sum(widths) <= SCREEN:
+    if len(columns) < 3 or sum(widths) <= SCREEN:
         return table
-    prose = [max(len(_text(CODE.sub("", cell))) for cell in column) > PROSE for column in columns]
+    kinds = [_kind(column) for column in columns]
 
     def row(found: re.Match[str]) -> str:
-        number = iter(prose)
+        number = iter(kinds)
 
         def cell(one: re.Match[str]) -> str:
-            if not next(number, False):
-                return one[0]
-            return f'<{one["tag"]} class="prose"{one["rest"]}>{one["inside"]}</{one["tag"]}>'
+            kind = next(number, "")
+            return f'<{one["tag"]} class="{kind}"{one["rest"]}>{one["inside"]}</{one["tag"]}>' if kind else one[0]
 
         return found[0].replace(found[1], CELL.sub(cell, found[1]))
 
     return ROW.sub(row, table)
+
+
+def _kind(column: tuple[str, ...]) -> str:
+    if max(len(_text(CODE.sub("", cell))) for cell in column) > PROSE:
+        return "prose"
+    return "few" if max(len(_text(cell)) for cell in column) <= FEW else ""
 
 
 def _unbroken(cell: str) -> int:
