@@ -56,19 +56,27 @@ def located(html: str) -> str:
     """The same page; of what a program imports its module stands beside, and its name may break at its joints."""
 
     def entry(found: re.Match[str]) -> str:
-        name = re.sub(r"(?<=eq\.)(?=\w)|(?<=_)(?=\w)|(?<=[a-z])(?=[A-Z])", "<wbr>", found["name"].strip())
-        module = found["module"].replace(".", ".<wbr>")
+        name = found["name"].strip()
+        called = re.match(r"[\w.]+", name)
+        name = breakable(called[0]) + name[called.end() :] if called else name
         head = found[0][: found.start("name") - found.start()]
-        return f'{head}{name} <small class="module">{module}</small>'
+        return f'{head}{name} <small class="module">{breakable(found["module"])}</small>'
 
     return ENTRY.sub(entry, html)
 
 
+def breakable(name: str) -> str:
+    """A name of Python that may go on in the next line behind its parts."""
+    return re.sub(r"(?<=[._])(?=\w)|(?<=[a-z])(?=[A-Z])", "<wbr>", name)
+
+
 def notebook(html: str) -> str:
-    """The same page of a notebook: its commands as on other pages, and what is printed as a table in lines of its own."""
+    """The same page of a notebook: commands as on other pages, and printed tables in lines of their own."""
 
     def block(found: re.Match[str]) -> str:
-        lines = [f'<span id="__line-{found.start()}-{k}">{line}\n</span>' for k, line in enumerate(_lines(found["lines"]))]
+        lines = [
+            f'<span id="__line-{found.start()}-{k}">{line}\n</span>' for k, line in enumerate(_lines(found["lines"]))
+        ]
         return f'<div class="language-sh highlight"><pre><span></span><code>{"".join(lines)}</code></pre>'
 
     def printed(found: re.Match[str]) -> str:

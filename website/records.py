@@ -10,7 +10,10 @@ from equimus_ctrl.report.proof_tables import numbers
 RECORD = re.compile(r"proof/.+/score\.md")
 TODAY, BEFORE = "Blinded ground truths", "Concealed realities"
 """How records begin that are written in the words of today, and how earlier ones do."""
-MEANT = "[What the words mean]({up}glossary.md#proof); [how the ground truths are made and what they came to]({up}proof.md)."
+MEANT = (
+    "[What the words mean]({up}glossary.md#proof); "
+    "[how ground truths are made, and what diagnoses came to]({up}proof.md)."
+)
 OLDER = "This is a record, in the words of its time; [what they mean]({up}glossary.md#words-of-older-records). "
 HEAD = re.compile(r"(?m)^- (robot|seed|cases): ([^,\n]+)(?:, all of kind (\w+))?")
 TABLE = re.compile(r"(?m)^\|.*\|\n\|(?: *:?-+:? *\|)+\n(?:\|.*\|(?:\n|\Z))*")
@@ -26,7 +29,7 @@ def is_record(uri: str) -> bool:
 
 
 def record(uri: str, markdown: str) -> str:
-    """The page of a record: what it is of as its title, what its words mean, and tables whose words stand to the left."""
+    """The page of a record: its own title, what its words mean, and tables whose words stand to the left."""
     title, _, rest = markdown.partition("\n")
     title = title.removeprefix("# ")
     up = posixpath.relpath(".", posixpath.dirname(uri)) + "/"

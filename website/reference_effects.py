@@ -93,7 +93,7 @@ def _entry(cls: type[Effect], answered: Counter[str]) -> list[str]:
     parts.append(effect_figures.markdown(cls.name))
     parts.append(f"**A report says**: {_plain(_sentence(cls))}")
     rows = [
-        f"| `{key}` | {_plain(info['doc'])} | {_unit(info['unit'])} | {_number(info['low'])} to {_number(info['high'])} |"
+        f"| `{key}` | {_plain(info['doc'])} | {_unit(info['unit'])} | {_bounds(info['low'], info['high'])} |"
         for key, info in cls.parameter_info().items()
     ]
     parts.append("\n".join(["| parameter | meaning | unit | bounds |", "| --- | --- | --- | --- |", *rows]))
@@ -114,6 +114,10 @@ def _half(count: float) -> str:
 
 def _unit(unit: str) -> str:
     return "–" if unit == "1" else unit.replace("|", "or")
+
+
+def _bounds(low: float, high: float) -> str:
+    return f"{_number(low)} to {_number(high)}"
 
 
 def _number(value: float) -> str:

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import griffe
+from markup import breakable
 
 INDEX, FOLDER = "reference/python.md", "reference/python"
 """The page that lists all names, and where the pages stand that describe them."""
@@ -64,7 +65,7 @@ def pages(stub: Path) -> dict[str, str]:
         parts = [f"# {section.title}", *filter(None, [section.note])]
         parts += [ENTRY.format(path=path, name=path.rpartition(".")[2]) for path in entries]
         made[f"{FOLDER}/{section.name}.md"] = "\n\n".join(parts) + "\n"
-    rows = ["| name | module | what it is |", "| --- | --- | --- |"]
+    rows = ["| name | what it is | module |", "| --- | --- | --- |"]
     rows += [_more(path, found, paths) for path, (found, paths) in types(offered).items()]
     made[f"{FOLDER}/{MORE.name}.md"] = "\n\n".join([f"# {MORE.title}", MORE.note, "\n".join(rows)]) + "\n"
     return made
@@ -138,8 +139,11 @@ def _index(offered: list[tuple[str, str]]) -> str:
     ]
     for section in SECTIONS:
         entries = [path for package in section.packages for own, path in offered if own == package]
-        rows = [f"| {_anchor(path)}[`eq.{_last(path)}`][equimus_ctrl.{path}] | {_summary(path)} |" for path in entries]
-        parts += [f"## [{section.title}](python/{section.name}.md)", "\n".join(["| name | what it is |", "| --- | --- |", *rows])]
+        rows = [f"| {_anchor(path)}{_link(path)} | {_first(_target(_package()[path]))} |" for path in entries]
+        parts += [
+            f"## [{section.title}](python/{section.name}.md)",
+            "\n".join(["| name | what it is |", "| --- | --- |", *rows]),
+        ]
     parts += [f"## [{MORE.title}](python/{MORE.name}.md)", MORE.note]
     return "\n\n".join(parts) + "\n"
 
@@ -153,19 +157,18 @@ def _last(path: str) -> str:
     return path.rpartition(".")[2]
 
 
-def _summary(path: str) -> str:
-    return _first(_target(_package()[path]))
+def _link(path: str) -> str:
+    return f"[<code>{breakable(f'eq.{_last(path)}')}</code>][equimus_ctrl.{path}]"
 
 
 def _first(found: Any) -> str:
     """The first sentence of a docstring, or its first paragraph where that is the shorter."""
     paragraph = " ".join((found.docstring.value if found.docstring else "").partition("\n\n")[0].split())
     sentence = re.split(r"(?<=[.:]) (?=[A-Z])", paragraph)[0]
-    plain = re.sub(r"(?<!`)([*<|])(?!`)", r"\\\1", sentence.replace("``", "`"))
-    return plain
+    return re.sub(r"(?<!`)([*<|])(?!`)", r"\\\1", sentence.replace("``", "`"))
 
 
 def _more(path: str, found: Any, paths: set[str]) -> str:
     text = " ".join(filter(None, [_first(found), "" if found.is_class else f"`{found.value}`"]))
     anchors = "".join(f"[](){{#{one}}}" for one in sorted(paths))
-    return f"| {anchors}`{_last(path)}` | `{path.rpartition('.')[0]}` | {text} |"
+    return f"| {anchors}<code>{breakable(_last(path))}</code> | {text} | `{path.rpartition('.')[0]}` |"

@@ -9,7 +9,7 @@ TABLE = re.compile(r"<table>.*?</table>", re.DOTALL)
 ROW = re.compile(r"<tr[^>]*>(.*?)</tr>", re.DOTALL)
 CELL = re.compile(r"<(?P<tag>t[hd])(?P<rest>[^>]*)>(?P<inside>.*?)</(?P=tag)>", re.DOTALL)
 CODE = re.compile(r"<code[^>]*>(.*?)</code>", re.DOTALL)
-SCREEN, LEAST, EDGES = 368.0, 114.0, 33.0
+SCREEN, LEAST, EDGES = 368.0, 114.0, 21.0
 """Width that a phone of 400 px has for a table, a column's least one in the style sheet, a cell's padding [px]."""
 LETTER = 7.0
 """Width of a letter of a table [px]."""
