@@ -8,8 +8,8 @@ import re
 from equimus_ctrl.report.proof_tables import numbers
 
 RECORD = re.compile(r"proof/.+/score\.md")
-TODAY, BEFORE = "Blinded ground truths", "Concealed realities"
-"""How records begin that are written in the words of today, and how earlier ones do."""
+TODAY = "Blinded ground truths"
+"""How records begin that are written in the words of today."""
 MEANT = (
     "[What the words mean]({up}glossary.md#proof); "
     "[how ground truths are made, and what diagnoses came to]({up}proof.md)."
@@ -40,9 +40,9 @@ def record(uri: str, markdown: str) -> str:
 
 def titled(uri: str, title: str, rest: str) -> str:
     """A title that no other record has: the robot, of what kind all cases are, and the seed of the draw."""
-    if title not in (TODAY, BEFORE):
-        return title
     found = {name: (value, kind) for name, value, kind in HEAD.findall(rest)}
+    if not {"seed", "cases"} <= found.keys():
+        return title  # no draw of its own
     robot = found.get("robot", ("EquiMus legs", ""))[0]
     kind = {"": "", "none": ", nothing missing"}.get(found["cases"][1], f", all of kind {found['cases'][1]}")
     return f"{title}: {robot}{kind}, seed {found['seed'][0]}"
