@@ -19,7 +19,7 @@ from equimus_ctrl.proof.shares import Share
 from equimus_ctrl.proof.tally import CONSISTENT, NOTHING, UNEXPLAINED, confusion
 from equimus_ctrl.report import style
 from equimus_ctrl.report.proof_figures import proof_drawings
-from equimus_ctrl.report.proof_tables import markdown, sheets
+from equimus_ctrl.report.proof_tables import Sheet, markdown, sheets
 from equimus_ctrl.robots.elastic.leg import nominal_leg
 
 # --- counts
@@ -360,3 +360,10 @@ def test_figures_are_drawn_of_much_and_of_nothing(full: bool, tmp_path: Path) ->
     files = style.save_all(proof_drawings(found), tmp_path)
     assert {file.stem for file in files} == {"confusion", "power", "false_alarms", "parameters", "coverage", "heldout"}
     assert all(file.stat().st_size > 5000 for file in files)
+
+
+def test_numbers_of_a_table_stand_to_the_right_and_words_to_the_left() -> None:
+    rows = (("1", "pair", "3.5e-08", "≤ 5 %", "backlash:hip"), ("2", "none", "–", "", "nothing"))
+    sheet = Sheet("Answers", ("case", "kind", "excess", "goal", "said"), rows)
+    assert "\n| --- | --- | ---: | ---: | --- |\n" in sheet.markdown()
+    assert [column.justify for column in sheet.rich().columns] == ["left", "left", "right", "right", "left"]

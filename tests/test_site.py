@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import importlib
+import inspect
 import re
 import sys
+from html import unescape
 from pathlib import Path
 from types import ModuleType
 
@@ -51,6 +53,8 @@ def test_the_navigation_has_every_page_once_and_no_other() -> None:
     pages = {path.relative_to(DOCS).as_posix() for path in [*DOCS.rglob("*.md"), *DOCS.glob("tutorials/*.py")]}
     written = {page for page in pages if not page.startswith("proof/")}
     generated = {"reference/commands.md", "reference/effects.md", "reference/python.md", "reference/thresholds.md"}
+    python = tool("reference_python")
+    generated |= {f"{python.FOLDER}/{section.name}.md" for section in (*python.SECTIONS, python.MORE)}
     own = {f"project/{name}" for name in tool("hooks").PAGES}
     assert set(listed) == written | generated | own
 
@@ -145,7 +149,24 @@ def test_the_page_of_commands_has_every_verb_and_option() -> None:
     for command in app.registered_commands:
         assert f"\n## {command.name}\n" in text
     assert "\n## recordings export\n" in text and "\n## hardware check\n" in text
-    assert "`--write-model FILE`" in text and "[bold]" not in text and "\b" not in text
+    assert "| `--write-model` `FILE` |" in text and "| `-o`, `--output` `DIR` |" in text
+    assert "`--window` `FROM TO`" in text and "`--figures` / `--no-figures`" in text
+    assert "[bold]" not in text and "\b" not in text
+
+
+def test_code_and_options_on_the_page_of_commands_are_as_they_are_typed() -> None:
+    """A bar within code is no end of a cell, values are words, and options in prose are code, which is not broken."""
+    from markdown import Markdown
+
+    text = tool("reference_commands").page()
+    html = Markdown(extensions=["tables", "pymdownx.superfences"]).convert(text)
+    assert "<code>fitted|measured</code>" in html and "<code>recordings...</code> <code>PATH</code>" in html
+    codes = [unescape(code) for code in re.findall(r"<code>(.*?)</code>", html)]
+    assert not [code for code in codes if "\\" in code or code.startswith("<") or "list[" in code]
+    rows = [row.count("<td") for row in re.findall(r"(?s)<tr>(.*?)</tr>", html)]
+    assert set(rows) == {0, 3}
+    prose = re.sub(r"(?s)<pre>.*?</pre>|<code>.*?</code>|<[^>]+>", "", html)
+    assert not re.search(r"(?<!\S)--[a-z]", prose)
 
 
 @pytest.mark.slow
@@ -180,8 +201,68 @@ def test_the_page_of_python_names_all_that_is_offered() -> None:
 
     names = [path.rpartition(".")[2] for _, path in tool("reference_python").names(ROOT / "equimus_ctrl/__init__.pyi")]
     assert set(names) == set(eq.__all__) - {"__version__"}
-    text = tool("reference_python").page(ROOT / "equimus_ctrl" / "__init__.pyi")
-    assert len(re.findall(r"(?m)^::: ", text)) == len(names)
+    reference = tool("reference_python")
+    pages = reference.pages(ROOT / "equimus_ctrl" / "__init__.pyi")
+    described = [path for text in pages.values() for path in re.findall(r"(?m)^::: equimus_ctrl\.(\S+)", text)]
+    assert sorted(described) == sorted(path for _, path in reference.names(ROOT / "equimus_ctrl/__init__.pyi"))
+    for path in described:
+        assert f'id="equimus_ctrl.{path}"' in pages[reference.INDEX]  # where links of before lead
+    more = pages[f"{reference.FOLDER}/more.md"]
+    for name in ("Some", "Progress", "Measured", "Asked", "Holdout", "Rivals", "Designed", "Notify", "Diagnosis"):
+        assert re.search(rf"\.{name}\}}<code>{name}</code> \|", more), name
+
+
+def test_signatures_show_defaults_and_not_what_makes_a_field() -> None:
+    """With the extension of the site griffe makes signatures as ``inspect`` reads them from the classes."""
+    griffe = pytest.importorskip("griffe")
+    import equimus_ctrl as eq
+
+    extensions = griffe.load_extensions(tool("real_defaults").RealDefaults)
+    package = griffe.load("equimus_ctrl", search_paths=[str(ROOT)], extensions=extensions)
+    for path in ("options.DiagnoseOptions", "effects.FillingFlow", "controllers.sampling_settings.SamplingSettings"):
+        shown = {p.name: p.default for p in package[path].parameters if p.name != "self"}
+        real = inspect.signature(getattr(eq, path.rpartition(".")[2])).parameters
+        assert list(shown) == list(real)
+        for name, own in real.items():
+            if own.default is own.empty:
+                assert shown[name] is None, (path, name)
+            elif isinstance(own.default, int | float | str | tuple | None):
+                assert eval(str(shown[name])) == own.default, (path, name)
+
+
+def test_records_have_titles_of_their_own_and_words_stand_to_the_left() -> None:
+    records = tool("records")
+    uris = [path.relative_to(DOCS).as_posix() for path in sorted(DOCS.glob("proof/**/score.md"))]
+    pages = {uri: records.record(uri, (DOCS / uri).read_text(encoding="utf-8")) for uri in uris}
+    titles = [page.partition("\n")[0] for page in pages.values()]
+    assert len(set(titles)) == len(titles) > 10
+    for uri, page in pages.items():
+        for target, _ in re.findall(r"\]\((\S+\.md)(#\S*)?\)", page.partition("- ")[0]):
+            assert (DOCS / uri).parent.joinpath(target).resolve().is_file(), (uri, target)
+    wrong = pages["proof/robots/arm3/score.md"].partition("## Answers that were not right")[2]
+    assert "\n| case | kind | excess | truth | said |\n| --- | --- | ---: | --- | --- |\n" in wrong
+    assert "m_yaw+<wbr>m_shoulder" in wrong
+
+
+def test_prose_has_room_in_tables_that_scroll_on_a_phone() -> None:
+    roomy = tool("tables").roomy
+    long = "word " * 12
+    row = "<tr><td>a</td><td>0.1</td><td>name_of_a_thing</td>" + f"<td>{long}</td></tr>"
+    found = roomy(f"<table>{row}</table>")
+    assert '<td class="prose">word' in found and '<td class="few">0.1' in found and "<td>name_of" in found
+    for kept in ("<table><tr><td>a</td><td>b</td><td>c</td></tr></table>", f"<table><tr><td>{long}</td></tr></table>"):
+        assert roomy(kept) == kept
+
+
+def test_commands_and_printed_tables_of_notebooks_are_marked() -> None:
+    notebook = tool("markup").notebook
+    block = '<div class="highlight"><pre><span></span>equimus-ctrl<span> </span>run\nequimus-ctrl<span> </span>list\n</pre></div>'
+    found = notebook(block)
+    assert 'class="language-sh highlight"' in found and found.count('<span id="__line') == 2
+    printed = '<div class="jp-RenderedText" tabindex="0">\n<pre>{}</pre></div>'
+    assert '<pre class="table">' in notebook(printed.format("a   1\nbcd 2"))
+    prose = printed.format("one sentence")
+    assert notebook(prose) == prose
 
 
 def test_version_of_the_citation_is_the_packages() -> None:
@@ -198,6 +279,9 @@ def test_code_within_a_line_stays_in_one_piece_or_breaks_at_its_joints() -> None
     long = "controllers/&lt;controller&gt;_&lt;robot&gt;.toml"
     found = unbroken(f"<td><code>{long}</code></td>")
     assert "<wbr>" in found and found.replace("<wbr>", "") == f"<td><code>{long}</code></td>"
+    for whole in ("0.95", "*.whl", "searched.py"):
+        many = f"a_long_name_before/that_goes_on {whole}"
+        assert whole in unbroken(f"<td><code>{many}</code></td>")
     block = '<div class="highlight"><pre><span></span><code>u = w + c\n</code></pre></div>'
     assert unbroken(block) == block
 

@@ -88,12 +88,17 @@ def markdown(name: str) -> str:
     alt = f"{law.effect.summary}: {law.y_axis} over {law.x_axis}{shown}, with the effect and without"
     info = law.effect.parameter_info()
     drawn = ", ".join(_size(key, value, str(info[key]["unit"])) for key, value in law.effect.parameters().items())
-    return f"![{alt}]({FOLDER}/{name}.svg){{ width={PIXELS} }}\n\n*Drawn with {drawn}.*"
+    return f"![{alt}]({FOLDER}/{name}.svg){{ .law width={PIXELS} }}\n\n*Drawn with {drawn}.*"
 
 
 def _size(key: str, value: float, unit: str) -> str:
-    """A parameter and its value, of a hinge that a motor drives where its unit depends on the place."""
-    unit = unit.partition(" | ")[0].replace("1/command", "1/(N·m)").replace("command", "N·m")
+    """A parameter and its value."""
+    unit = unit_there(unit)
     read = reading(unit, value)
     named = "" if unit == "1" else f" {read.unit}"
-    return f"{key.replace('_', ' ')} {value * read.factor:.3g}{named}".replace("-", "−")
+    return f"{key.replace('_', ' ')} {float(f'{value * read.factor:.3g}'):g}{named}".replace("-", "−")
+
+
+def unit_there(unit: str) -> str:
+    """A parameter's unit of a hinge that a motor drives, where it depends on the place."""
+    return unit.partition(" | ")[0].replace("1/command", "1/(N·m)").replace("command", "N·m")

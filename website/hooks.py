@@ -14,19 +14,17 @@ from pathlib import Path
 
 import reference
 from lists import aligned
-from markup import commands, opened, unbroken
+from markup import commands, located, notebook, opened, unbroken
 from mkdocs.config.defaults import MkDocsConfig
 from mkdocs.structure.files import File, Files
 from mkdocs.structure.pages import Page
+from records import is_record, record
+from tables import roomy
 
 ROOT = Path(__file__).resolve().parent.parent
 PAGES = ("CHANGELOG.md", "CONTRIBUTING.md", "README.md", "RELEASING.md", "SECURITY.md")
 """Pages of the checkout's root that are pages of the site."""
 log = logging.getLogger("mkdocs.hooks")
-RECORD = re.compile(r"proof/.+/score\.md")
-RECORD_TODAY = "# Blinded ground truths\n"
-"""How records of proofs begin that are written in the words of today."""
-OLDER = "\n\nThis is a record, in the words of its time; [what they mean]({glossary}#words-of-older-records).\n\n"
 LINK = re.compile(r"(\]\()([^)\s#]+)((?:#[^)\s]*)?\))")
 
 
@@ -46,17 +44,16 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
 
 
 def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Files) -> str:
-    """Let links lead to where things stand on the site, and lists be lists; say how old the words of a record are."""
-    if RECORD.fullmatch(page.file.src_uri) and not markdown.startswith(RECORD_TODAY):
-        title, _, rest = markdown.partition("\n")
-        up = posixpath.relpath("glossary.md", posixpath.dirname(page.file.src_uri))
-        markdown = title + OLDER.format(glossary=up) + rest
-    return aligned(translated(page.file.src_uri, markdown))
+    """Let links lead to where things stand on the site, and lists be lists; say what a record is of."""
+    markdown = translated(page.file.src_uri, markdown)
+    return aligned(record(page.file.src_uri, markdown) if is_record(page.file.src_uri) else markdown)
 
 
 def on_page_content(html: str, page: Page, config: MkDocsConfig, files: Files) -> str:
     """Keep code in one piece, open figures, let links of notebooks lead to pages, as MkDocs does of Markdown."""
-    html = opened(commands(unbroken(html)))
+    if page.file.src_uri.endswith(".py"):
+        html = notebook(html)
+    html = roomy(located(opened(commands(unbroken(html)))))
     if not page.file.src_uri.endswith(".py"):
         return html
 

@@ -20,7 +20,7 @@ def pages(root: Path) -> dict[str, str]:
     return {
         "reference/commands.md": reference_commands.page(),
         "reference/effects.md": reference_effects.page(root / "docs" / "proof"),
-        "reference/python.md": reference_python.page(root / "equimus_ctrl" / "__init__.pyi"),
+        **reference_python.pages(root / "equimus_ctrl" / "__init__.pyi"),
         "reference/thresholds.md": reference_thresholds.page(),
         **{f"reference/{path}": drawn for path, drawn in effect_figures.figures().items()},
     }

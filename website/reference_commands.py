@@ -11,6 +11,7 @@ import typer
 
 from equimus_ctrl.cli.main import app
 
+OPTION = re.compile(r"(?<![\w`-])--[a-z][a-z-]*[a-z]\b")
 TAG = re.compile(r"\[/?(?:bold|dim|italic|/)\]")
 
 
@@ -75,11 +76,19 @@ def _help(command: Any) -> tuple[str, list[str]]:
 def _row(parameter: Any, context: Any) -> str:
     names, text = parameter.get_help_record(context)
     text, _, default = TAG.sub("", text).partition("[default: ")
-    cells = (f"`{names.strip()}`", _escaped(text), f"`{default.rstrip(']')}`" if default else "")
-    return f"| {' | '.join(cell.replace('|', chr(92) + '|') for cell in cells)} |"
+    text = _escaped(text).replace("|", chr(92) + "|")  # within code a bar is no end of a cell, and a backslash stays
+    shown = f"`{default.rstrip(']')}`" if default else ""
+    return f"| {_named(names.strip())} | {text} | {shown} |"
+
+
+def _named(text: str) -> str:
+    """Names of an option, between which a line may end, and what stands for its value, which may come in the next."""
+    names, value = re.fullmatch(r"((?:-\S+(?: /)? ?)+|\S+ ?)(.*)", text).groups()
+    shown = re.sub(r"[^\s,/]+", r"`\g<0>`", names.strip())
+    return f"{shown} `{value}`" if value else shown
 
 
 def _escaped(text: str) -> str:
-    """Text of a terminal as Markdown: what would be read as emphasis or HTML is not."""
+    """Text of a terminal as Markdown: what would be read as emphasis or HTML is not, and options are code."""
     text = " ".join(text.split()).replace("`", "'").replace("<", "&lt;").replace(">", "&gt;")
-    return re.sub(r"([*_])", r"\\\1", text)
+    return OPTION.sub(r"`\g<0>`", re.sub(r"([*_])", r"\\\1", text))

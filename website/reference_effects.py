@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from collections import Counter, defaultdict
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -13,6 +14,14 @@ import effect_figures
 import effect_laws
 
 from equimus_ctrl.effects import REGISTRY, Effect
+from equimus_ctrl.report.diagnosis_words import quantity
+
+FORMULAS = (
+    (r"(?<![\w'])([A-Za-z](?:_[a-z])?)'(?=\s)", r"\1′"),
+    (r"(?<!\w)([A-Za-zΑ-ω])_([a-z0-9])(?!\w)", r"\1<sub>\2</sub>"),
+    (r"\^(\w+)", r"<sup>\1</sup>"),
+)
+"""What stands for a prime, an index and a power in a docstring, and what does on a page."""
 
 SIDES = {
     "command": "Commands and valves",
@@ -31,7 +40,8 @@ def page(proofs: Path) -> str:
     parts = [
         "# Effects",
         "The laws that `diagnose` looks for and `--effect` attaches, made from the classes when this site was built. "
-        "The sentence is what a report says, with parameters in the place of their estimates; "
+        "The sentence is what a report says, with parameters in the place of their estimates; what it computes "
+        "from them is computed from those that the figure is drawn with. "
         "`x` is the joint's position or the actuator's length, `rate` its derivative. The physics behind "
         "them: [the two models](../physics.md#effects), [MJCF robots](../machines_effects.md). Your own: "
         "[adding an effect](../project/CONTRIBUTING.md#an-effect).",
@@ -83,10 +93,10 @@ def _entry(cls: type[Effect], answered: Counter[str]) -> list[str]:
     parts.append(effect_figures.markdown(cls.name))
     parts.append(f"**A report says**: {_plain(_sentence(cls))}")
     rows = [
-        f"| `{key}` | {_unit(info['unit'])} | {info['low']:g} to {info['high']:g} | {_plain(info['doc'])} |"
+        f"| `{key}` | {_plain(info['doc'])} | {_unit(info['unit'])} | {_bounds(info['low'], info['high'])} |"
         for key, info in cls.parameter_info().items()
     ]
-    parts.append("\n".join(["| parameter | unit | bounds | meaning |", "| --- | --- | --- | --- |", *rows]))
+    parts.append("\n".join(["| parameter | meaning | unit | bounds |", "| --- | --- | --- | --- |", *rows]))
     native = f"as {cls.mjcf_form}" if cls.mjcf_form else f"refused: {cls.mjcf_lacks}"
     parts.append(f"**In plain MuJoCo** ([export](../export.md)): {native}.")
     if answered:
@@ -106,13 +116,34 @@ def _unit(unit: str) -> str:
     return "–" if unit == "1" else unit.replace("|", "or")
 
 
+def _bounds(low: float, high: float) -> str:
+    return f"{_number(low)} to {_number(high)}"
+
+
+def _number(value: float) -> str:
+    """A bound; a large or small one as a power of ten."""
+    digits, _, power = f"{value:g}".partition("e")
+    if power:
+        digits = {"1": "", "-1": "-"}.get(digits, f"{digits}·") + f"10<sup>{int(power)}</sup>"
+    return digits.replace("-", "−")
+
+
 def _plain(text: str) -> str:
-    """A docstring's text where ``*`` and ``_`` mean themselves."""
-    return text if "`" in text else text.replace("*", "\\*").replace("_", "\\_").replace("‹", "*").replace("›", "*")
+    """A docstring's text where ``*`` and ``_`` mean themselves, with indices and powers as such."""
+    parts = re.split(r"(`[^`]*`)", text)
+    parts[::2] = [_formula(part) for part in parts[::2]]
+    return "".join(parts)
+
+
+def _formula(text: str) -> str:
+    for pattern, instead in FORMULAS:
+        text = re.sub(pattern, instead, text)
+    return text.replace("*", "\\*").replace("_", "\\_").replace("‹", "*").replace("›", "*")
 
 
 def _sentence(cls: type[Effect]) -> str:
-    return cls.sentence(_Template(cls, effect_laws.robot_of(cls), effect_laws.place_of(cls)))
+    drawn = effect_figures.laws()[cls.name].effect
+    return cls.sentence(_Template(cls, effect_laws.robot_of(cls), effect_laws.place_of(cls), drawn.parameters()))
 
 
 @dataclass(frozen=True)
@@ -122,6 +153,7 @@ class _Template:
     cls: type[Effect]
     robot: Any
     place: str
+    drawn: Mapping[str, float]
 
     @property
     def places(self) -> tuple[str, ...]:
@@ -157,12 +189,11 @@ class _Template:
         return self[key]
 
     def unit(self, key: str) -> str:
-        return str(self.cls.parameter_info()[key]["unit"])
+        return effect_figures.unit_there(str(self.cls.parameter_info()[key]["unit"]))
 
     def value(self, key: str) -> float:
-        """A value on the greater side, for sentences that say which."""
-        info = self.cls.parameter_info()[key]
-        return float(info["low"] + 0.75 * (info["high"] - info["low"]))
+        """As it is drawn, for sentences that say which side, and for what follows from several."""
+        return self.drawn[key]
 
     def quantity(self, value: float, unit: str) -> str:
-        return "‹size›"
+        return quantity(value, unit)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import TYPE_CHECKING
 
 from typer.core import TyperCommand, TyperGroup
@@ -16,13 +17,20 @@ VALUES = {"str": "TEXT", "int": "INTEGER", "float": "NUMBER", "path": "PATH"}
 
 def _bare(parameters: list[Any], ctx: Any) -> list[Any]:
     for own in parameters:
-        if own.metavar is None and own.param_type_name == "option":
-            if getattr(own, "is_flag", False):
-                own.metavar = ""
-            else:
-                kind = own.display_type(ctx).strip("<>").lower().removeprefix("list[").removesuffix("]")
-                own.metavar = VALUES.get(kind)
+        if own.param_type_name == "argument":
+            named = _named(own, ctx) or own.display_type(ctx).strip("<>")
+            own.display_type_rich = partial(_always, named)  # a metavar would stand in the place of its name
+        elif own.metavar is None:
+            own.metavar = "" if getattr(own, "is_flag", False) else _named(own, ctx)
     return parameters
+
+
+def _named(own: Any, ctx: Any) -> str | None:
+    return VALUES.get(own.display_type(ctx).strip("<>").lower().removeprefix("list[").removesuffix("]"))
+
+
+def _always(named: str, ctx: Any) -> str:
+    return named
 
 
 def _flowing(text: str) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from statistics import median
@@ -20,6 +21,8 @@ from equimus_ctrl.proof.shares import Share
 from equimus_ctrl.proof.tally import CONSISTENT, Tally
 
 NOTHING = "–"
+NUMBER = re.compile(r"[≤≥] |[-−+]?\d")
+"""How a cell begins that holds one."""
 METHODS = {OURS: "diagnosis", **TITLES}
 
 
@@ -51,20 +54,31 @@ class Sheet:
             box=SIMPLE_HEAD,
             padding=(0, 1, 0, 0),
         )
-        for k, name in enumerate(self.columns):
-            table.add_column(name, justify="right" if k else "left")
+        for name, number in zip(self.columns, self.numbers(), strict=True):
+            table.add_column(name, justify="right" if number else "left")
         for row in shown:
             table.add_row(*map(Text, row), style="yellow" if row[-1] == "missed" else None)
         return table
+
+    def numbers(self) -> tuple[bool, ...]:
+        """Whether each column holds numbers, which stand to the right; words stand to the left."""
+        return numbers(len(self.columns), self.rows)
 
     def markdown(self) -> str:
         """For a file."""
         lines = [f"## {self.title}", ""]
         if self.rows:
-            lines += [_line(self.columns), _line(["---", *["---:"] * (len(self.columns) - 1)])]
+            rule = ["---:" if number else "---" for number in self.numbers()]
+            lines += [_line(self.columns), _line(rule)]
             lines += [*map(_line, self.rows), ""]
         note = self.note if self.rows or self.note else "None."
         return "\n".join([*lines, *([note, ""] if note else [])])
+
+
+def numbers(columns: int, rows: Sequence[Sequence[str]]) -> tuple[bool, ...]:
+    """Whether each column of a table holds numbers: they begin all its cells that say something, after the first."""
+    said = [[row[k] for row in rows if row[k] not in ("", NOTHING)] for k in range(columns)]
+    return tuple(k > 0 and all(map(NUMBER.match, cells)) for k, cells in enumerate(said))
 
 
 def _line(cells: Sequence[str]) -> str:

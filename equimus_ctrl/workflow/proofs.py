@@ -137,7 +137,7 @@ def prove(
         recordings: of an MJCF robot, whose commands drive those that are like it; with ``experiments`` there need be
             none: small chirps of the nominal robot take their place.
         model: of that robot; legs and trials that are drawn by default.
-        experiment: both in one.
+        experiment: a robot and its recordings as one, in the place of ``model`` and ``recordings``.
         plugins: files that register effects, see ``load_plugins``: those with sizes are drawn too, and looked for.
         progress: see ``Progress``.
         say: see ``Say``; the seal of all seals is said before the first diagnosis begins.
