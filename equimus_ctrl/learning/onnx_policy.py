@@ -22,7 +22,7 @@ from equimus_ctrl.types import Array
 SEEN, ACTION, ABOUT = "observation", "action", "equimus_ctrl"
 OPSET, IR = 17, 8
 """Of ONNX 1.12, which everything that is still in use reads."""
-NODES: dict[str, tuple[str, dict[str, float]]] = {
+NODES: dict[str, tuple[str, dict[str, Any]]] = {
     "identity": ("Identity", {}),
     "tanh": ("Tanh", {}),
     "relu": ("Relu", {}),
