@@ -88,7 +88,7 @@ def _drawn(found: Trained, task: str, model: Model, options: TrainOptions) -> li
 def _print(console: Console, found: Trained) -> None:
     best = found.best
     why = {"steps": "all steps are done", "budget": "the time is over", "stopped": "it was stopped"}[found.reason]
-    success = "" if best["success"] is None else f", success on {best['success']:.0%}"
+    success = "" if best["success"] is None else f", success on {100 * best['success']:.0f} %"
     more = "".join(
         f", {label} {best[key]:.3g} {unit}"
         for key, label, unit in (("ball_speed", "ball", "m/s"), ("miss_angle", "off by", "°"))

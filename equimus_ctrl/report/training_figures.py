@@ -19,22 +19,25 @@ def training_figure(curve: Sequence[Mapping[str, Any]], task: str, goal: Mapping
         goal: returns to compare with, by name.
     """
     shared = any(row["success"] is not None for row in curve)
-    figure = Figure(figsize=(7.0, 4.6 if shared else 3.4), layout="constrained")
+    figure = style.new_figure(7.0, 4.8 if shared else 3.6, f"Training to {task}")
     axes = figure.subplots(2 if shared else 1, 1, sharex=True, squeeze=False, height_ratios=(3, 1) if shared else None)
-    steps = [row["steps"] / 1e3 for row in curve]
-    top = axes[0, 0]
-    top.plot(steps, [row["return"] for row in curve], color=style.INK, label="unseen robots, mean")
-    top.plot(steps, [row["least"] for row in curve], color=style.INK, lw=0.8, ls=":", label="unseen robots, least")
-    top.plot(steps, [row["explored"] for row in curve], color=style.INK, lw=0.8, ls="--", label="in training, explored")
+    steps, top = [row["steps"] / 1e3 for row in curve], axes[0, 0]
+    lines = [
+        top.plot(steps, [row[key] for row in curve], color=colour, lw=width, ls=dashes, label=label)[0]
+        for key, colour, width, dashes, label in (
+            ("return", style.joint_colour(0), 1.6, "-", "unseen robots, mean"),
+            ("least", style.joint_colour(0), 1.0, ":", "unseen robots, least"),
+            ("explored", style.FAINT, 1.0, "-", "in training, with exploration"),
+        )
+    ]
     for name, value in (goal or {}).items():
         top.axhline(value, color=style.INK, lw=0.8, ls="--")
-        top.annotate(name, (steps[-1], value), ha="right", va="bottom", fontsize=8)
-    top.set_ylabel("return")
-    top.set_title(f"Training to {task}", loc="left")
-    top.legend(loc="lower right", fontsize=8)
+        top.annotate(name, (steps[-1], value), ha="right", va="bottom", fontsize=style.SMALL_SIZE, color=style.INK)
+    style.dress(top, y="return")
     if shared:
-        axes[1, 0].plot(steps, [100 * row["success"] for row in curve], color=style.INK)
-        axes[1, 0].set_ylabel("success [%]")
+        axes[1, 0].plot(steps, [100 * row["success"] for row in curve], color=style.joint_colour(0))
         axes[1, 0].set_ylim(-5, 105)
-    axes[-1, 0].set_xlabel("steps of the environments, in thousands")
+        style.dress(axes[1, 0], y="success [%]")
+    style.dress(axes[-1, 0], x="steps of the environments, in thousands")
+    style.legend_below(figure, lines)
     return figure

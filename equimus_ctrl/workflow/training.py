@@ -299,7 +299,7 @@ def _share(steps: int, options: TrainOptions, passed: float) -> float:
 
 
 def _words(row: Mapping[str, Any]) -> str:
-    success = "" if row["success"] is None else f", success {row['success']:.0%}"
+    success = "" if row["success"] is None else f", success {100 * row['success']:.0f} %"
     return f"return {row['return']:.4g}{success}"
 
 
