@@ -199,7 +199,7 @@ class Case:
         return not answer.failed and self.places.in_group(self.wanted, answer.findings)
 
     def right(self, method: Method) -> bool:
-        """Whether exactly what is there was said: nothing, these effects in their places, or something without a name.
+        """Whether exactly what is there was said: nothing, these effects in their places, or something unexplained.
 
         What has no name has to be put where it acts.
         """
