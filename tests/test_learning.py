@@ -257,7 +257,7 @@ WRONG: dict[str, tuple[Any, str]] = {
     "control": (lambda: learning.make_env("kick", control=77.0), "480 Hz is not a whole multiple of 77 Hz"),
     "mode": (lambda: learning.make_env("kick", render_mode="rgb"), "no render mode 'rgb' (known: human, rgb_array)"),
     "randomise": (lambda: learning.make_env("kick", randomise="diag"), "randomise is 'diag', expected a share"),
-    "no diagnosis": (lambda: learning.make_env("kick", randomise="diagnosis"), "expected one: its record"),
+    "no diagnosis": (lambda: learning.make_env("kick", randomise="diagnosis"), "without a diagnosis, expected its record"),
     "other robot": (
         lambda: learning.make_env("hold", arm(), randomise="diagnosis", diagnosis=delays().to_dict()), "no record of"
     ),

@@ -145,7 +145,7 @@ def test_on_the_command_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, ca
         ("--set place=1,2", "--set place=1,2: expected three numbers"),
         ("--randomise 200", "randomise is 2, expected a share"),
         ("--randomise all", "randomise is 'all', expected a share"),
-        ("--randomise diagnosis", "randomise is 'diagnosis', expected one: its record"),
+        ("--randomise diagnosis", "randomise is 'diagnosis' without a diagnosis, expected its record"),
     ):
         assert main(["train", "kick", *more.split()]) == 2
         assert sentence in capsys.readouterr().err

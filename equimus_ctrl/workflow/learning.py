@@ -176,7 +176,9 @@ def _draws(
             return Same(model), noise
         return Spread(model, float(share), settings.robots, settings.robot_seed), noise
     if diagnosis is None:
-        raise ConfigError("randomise is 'diagnosis', expected one: its record, its folder, or the result of diagnose")
+        raise ConfigError(
+            "randomise is 'diagnosis' without a diagnosis, expected its record, its folder, or the result of diagnose"
+        )
     rivals = rivals_in(diagnosis, model)
     if settings.noise is None:
         noise = rivals.noise[: len(noise)]
