@@ -271,3 +271,6 @@ def test_an_experiment_is_named_where_something_is_left_to_decide(diagnosis: Dia
     assert without[1] == "equimus-ctrl diagnose RECORDINGS --report report && equimus-ctrl experiment design report"
     assert deciding(diagnosis, given) is None
     assert deciding(replace(left, verdict="unfinished"), given) is None
+    alone, both = (deciding(replace(own, below=(own.best.hypothesis,)), given) for own in (diagnosis, left))
+    assert alone is not None and alone[0].startswith("Design a trial that shows effects") and alone[1] == line
+    assert both is not None and "do not distinguish and shows effects" in both[0]

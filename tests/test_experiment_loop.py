@@ -54,11 +54,13 @@ def test_an_effect_of_known_size_is_another_one_at_another_size() -> None:
     rival = of_a_pendulum().rivals[0]
     assert label_of(rival) == rival.label
     free = tuple(f for f in rival.parameters.free if f.name == "arm.mass")
+    given = tuple(f.name for f in rival.parameters.free if f not in free)
     (effect,) = rival.model.effects
     sizes = []
     for size in (0.1, 0.2):
         model = Model(rival.model.robot, (replace(effect, friction=size),))
-        own = replace(rival, parameters=replace(rival.parameters, model=model, free=free), theta=rival.theta[:1])
+        parameters = replace(rival.parameters, model=model, free=free)
+        own = replace(rival, parameters=parameters, theta=rival.theta[:1], given=given)
         sizes.append(label_of(own))
     assert sizes == [f"{rival.label} (friction 0.1 N·m)", f"{rival.label} (friction 0.2 N·m)"]
 

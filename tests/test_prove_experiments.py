@@ -47,10 +47,22 @@ def leaves(*several: list[dict[str, Any]], accepted: bool = True) -> dict[str, A
     return {"rivals": {"explanations": [{"effects": own, "accepted": accepted} for own in several]}}
 
 
+def hides(first: list[dict[str, Any]], hidden: list[dict[str, Any]], **size: float) -> dict[str, Any]:
+    """What is named first, and what may hide, the last effect of which is of a given size."""
+    last = hidden[-1]
+    own = {"effect": last["effect"], "location": last["locations"][0], **size}
+    (key,) = size
+    given = {"given": [f"{last['effect']}.{key}"], "model": {"effects": [own]}}
+    found = leaves(first, hidden)
+    found["rivals"]["explanations"][1] |= given
+    return found
+
+
 def judged(kind: str, missing: list[dict[str, Any]], said: Any) -> str:
     return outcome(Case({**truth(kind, *missing), "case": 3}, said, {}, Places.of(nominal_leg())))
 
 
+LAG_SEEN_AT = {"effect": "first_order_lag", "locations": ["maa"]}
 OF_LAG, OF_RUB = [{"effect": "first_order_lag", "locations": ["maa"]}], [finding("coulomb_friction", "knee")]
 
 
@@ -71,6 +83,15 @@ OF_LAG, OF_RUB = [{"effect": "first_order_lag", "locations": ["maa"]}], [finding
         ("single", [LAG], {**report(SAID_RUB), **leaves(OF_RUB, OF_LAG, accepted=False)}, "wrong"),
         ("pair", [LAG, RUB], {**report(SAID_RUB), **leaves(OF_RUB, [*OF_RUB, *OF_LAG])}, "told"),
         ("pair", [LAG, RUB], report(SAID_RUB, SAID_LAG), "exact"),
+        ("single", [LAG], {**report(), "detectable": [LAG_SEEN_AT | {"size": 0.3}]}, "unseen"),
+        ("single", [LAG], {**report(), "detectable": [LAG_SEEN_AT | {"size": 0.1}]}, "silent"),
+        ("single", [LAG], {**report(), "detectable": [LAG_SEEN_AT | {"size": None}]}, "unseen"),
+        ("single", [LAG], {**report(SAID_RUB), "detectable": [LAG_SEEN_AT | {"size": 0.3}]}, "wrong"),
+        ("pair", [LAG, RUB], {**report(SAID_RUB), "detectable": [LAG_SEEN_AT | {"size": 0.3}]}, "unseen"),
+        ("pair", [LAG, RUB], {**report(SAID_RUB), "detectable": [LAG_SEEN_AT | {"size": 0.1}]}, "wrong"),
+        ("single", [LAG], {**report(SAID_RUB), **hides(OF_RUB, OF_LAG, time_constant=0.3)}, "unseen"),
+        ("single", [LAG], {**report(SAID_RUB), **hides(OF_RUB, OF_LAG, time_constant=0.1)}, "wrong"),
+        ("single", [LAG], {**report(SAID_RUB), **hides(OF_RUB, [*OF_RUB, *OF_LAG], time_constant=0.3)}, "wrong"),
         ("outside", [effect("cogging", "knee")], report(unexplained=(left("knee", "knee"),)), "exact"),
         ("outside", [effect("cogging", "knee")], report(unexplained=(left("hip", "hip"),)), "wrong"),
         ("outside", [effect("cogging", "knee")], {**report(SAID_RUB), **leaves(OF_RUB, [])}, "wrong"),
@@ -244,7 +265,7 @@ def test_a_known_condition_is_one_of_the_true_robot() -> None:
 def test_a_trial_that_has_to_be_tracked_is_none_that_a_proof_makes(monkeypatch: pytest.MonkeyPatch) -> None:
     law = FeedbackLaw(np.ones((2, 2)), np.ones((2, 2)), 0.01)
     tracked = Commands(np.zeros(1), np.zeros((1, 2)), 1.0, None, {}, np.zeros((1, 2)), law)
-    two = SimpleNamespace(rivals=[0, 1], rate=100.0, notes={}, simulator=lambda threads: None)
+    two = SimpleNamespace(rivals=[0, 1], named=[0, 1], rate=100.0, notes={}, simulator=lambda threads: None)
     monkeypatch.setattr(designing.Rivals, "from_dict", lambda left, model: two)
     monkeypatch.setattr(designing, "designed", lambda *_, **__: SimpleNamespace(commands=tracked))
     model = Model(nominal_leg())
@@ -329,7 +350,14 @@ class World:
 
     def design(self, case: int, number: int, made: dict[str, Any]) -> dict[str, Any]:
         proof = {"seconds": 30.0, "cpu_seconds": 30.0, **made}
-        known = {"rate_hz": 120.0, "notes": {}, "said": "", "design": {"family": "steps"}, "proof": proof}
+        known = {
+            "rate_hz": 120.0,
+            "notes": {},
+            "alone": False,
+            "said": "",
+            "design": {"family": "steps"},
+            "proof": proof,
+        }
         if number > 1:
             return {**known, "end": "resolved", "commands": None, "predicted": []}
         commands = {"times": [0.0], "commands": [[1e4, 1e4]], "duration_s": 6.0, "start": None, "notes": {}}
@@ -439,7 +467,7 @@ def test_the_command_prints_tables_and_draws_the_figure(
     out, err = capsys.readouterr()
     assert json.loads(out)["experiments"]["right"][1]["count"] == 2
     for text in (
-        "right or not distinguishable",
+        "right, not distinguishable or unseen",
         "trial 1: designs: 2 of 2",
         "limits kept by the true robot",
         "SHA-256",

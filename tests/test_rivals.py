@@ -15,7 +15,7 @@ from rival_legs import of_a_pendulum, read_back, rivals_of, with_other
 from equimus_ctrl.diagnosis.diagnose import DiagnosisSettings, diagnose
 from equimus_ctrl.diagnosis.explanations import just_below
 from equimus_ctrl.diagnosis.holdout import split
-from equimus_ctrl.diagnosis.hypothesis import default_free_parameters
+from equimus_ctrl.diagnosis.hypothesis import Hypothesis, Part, default_free_parameters
 from equimus_ctrl.diagnosis.results import Diagnosis, Named
 from equimus_ctrl.diagnosis.rivals import Rivals, refitted_to
 from equimus_ctrl.diagnosis.screening import Screened
@@ -47,19 +47,26 @@ def test_explanations_of_the_same_effects_are_one(diagnosis: Diagnosis) -> None:
     assert [rival.accepted for rival in nearest.rivals] == [True, False]
 
 
+def hidden_friction(size: float) -> Hypothesis:
+    part = part_of("coulomb_friction", ("knee",), {"friction": size})
+    return (Part(replace(part.candidate, given=part.values), {}),)
+
+
 def test_what_is_not_excluded_stands_beside_nothing(diagnosis: Diagnosis) -> None:
-    small = part_of("coulomb_friction", ("knee",), {"friction": 1e-3})
-    large = part_of("coulomb_friction", ("knee",), {"friction": 0.5})
-    below = replace(consistent(diagnosis), best=diagnosis.base, below=(small, large))
+    small, large = hidden_friction(1e-3), hidden_friction(0.5)
+    below = replace(consistent(diagnosis), best=diagnosis.base, below=(large, small))
     nothing, rubbing = Rivals.of(below).rivals
     assert (nothing.label, rubbing.label) == ("no missing physics", "coulomb_friction at knee")
     assert [effect.parameters()["friction"] for effect in rubbing.model.effects] == [1e-3]
+    assert rubbing.given_sizes == (("friction", 1e-3, "N·m"),) and not nothing.given_sizes
+    assert [own.label for own in Rivals.of(below).named] == [nothing.label]
 
 
 def test_beside_an_effect_of_known_size_all_else_is_refitted(diagnosis: Diagnosis) -> None:
     """What it makes of the recordings counts, not what it would make of them with the estimates without it."""
-    small = part_of("coulomb_friction", ("knee",), {"friction": 1e-3})
-    nothing, rubbing = Rivals.of(replace(consistent(diagnosis), best=diagnosis.base, below=(small,))).rivals
+    nothing, rubbing = Rivals.of(
+        replace(consistent(diagnosis), best=diagnosis.base, below=(hidden_friction(1e-3),))
+    ).rivals
     assert rubbing.parameters.names == nothing.parameters.names
     assert not np.array_equal(rubbing.theta, nothing.theta) and rubbing.deviance != nothing.deviance
     again = refitted_to(rubbing, replace(diagnosis, best=diagnosis.base))
@@ -154,13 +161,13 @@ def test_the_least_visible_effects_stand_at_the_size_that_would_have_been_seen()
         return Screened(own, (), nothing, (0.0,), tried, np.array(strengths))  # type: ignore[arg-type]
 
     clear, faint = screened(candidate, [400.0, 1600.0, 6400.0]), screened(other, [10.0, 40.0, 160.0])
-    parts = just_below(nominal_model(), [clear, faint], lambda count: 100.0)
+    parts = just_below(nominal_model(), [clear, faint], 100.0)
     # χ² grows with the square of the size.
-    assert [(part.candidate.locations, part.values["threshold"]) for part in parts] == [
+    assert [(part.candidate.locations, part.candidate.given["threshold"]) for part in parts] == [
         (("maa",), pytest.approx(100 * np.sqrt(10))),
         (("baa",), pytest.approx(50.0)),
     ]
-    assert just_below(nominal_model(), [screened(other, [1.0, 4.0, 16.0])], lambda count: 100.0) == ()
+    assert just_below(nominal_model(), [screened(other, [1.0, 4.0, 16.0])], 100.0) == ()
 
 
 @pytest.mark.slow
@@ -174,14 +181,18 @@ def test_a_diagnosis_keeps_what_it_leaves_open(case: int, verdict: str) -> None:
     first, *others = found.rivals.rivals
     if verdict == "explained":
         assert [str(own.named) for own in found.findings] == [first.label]
-        assert {own.label for own in others} == {str(own) for own in found.findings[0].equivalent} != set()
+        equivalent = {own.label for own in others if not own.given}
+        assert equivalent == {str(own) for own in found.findings[0].equivalent} != set()
     elif verdict == "consistent":
-        assert first.label == "no missing physics" and {len(own.effects) for own in others} == {1}
-        sizes = {str(own.named): own.size for own in found.detectable}
-        for rival in others:
-            effect = rival.model.effects[0]
-            size, nothing = next(iter(effect.parameters().values())), effect.grows_from()
-            assert nothing is not None and abs(size - nothing) == pytest.approx(sizes[rival.label])
+        assert first.label == "no missing physics" and all(own.given for own in others)
     else:
         assert [own.accepted for own in (first, *others)] == [True] + [False] * len(others) and others
         assert found.rivals.unexplained[0].location == found.unexplained[0].location
+    below = [own for own in others if own.given]
+    assert bool(below) == (verdict != "unexplained")
+    sizes = {str(own.named): own.size for own in found.detectable}
+    for rival in below:  # smaller than what would have been accepted
+        assert rival.effects[:-1] == first.effects and rival.parameters.names == first.parameters.names
+        effect = rival.model.effects[-1]
+        size, nothing = next(iter(effect.parameters().values())), effect.grows_from()
+        assert nothing is not None and 0 < abs(size - nothing) < sizes[str(rival.effects[-1])]

@@ -329,8 +329,10 @@ def ranking(search: Search, end: SearchState) -> tuple[Ranked, ...]:
 
 
 def detectable(search: Search, end: SearchState) -> tuple[Detectable, ...]:
-    """The smallest size of each effect that would have been accepted, see ``smallest_sizes``."""
-    return smallest_sizes(search.data.free.model, end.tried.first, search.threshold)
+    """The smallest size of each effect that would have been accepted beside what was, see ``smallest_sizes``."""
+    known = end.tried.screened.get(end.best.labels, ())
+    beside = [s for s in known if len(s.hypothesis) > len(end.best.hypothesis)]  # those that take no part's place
+    return smallest_sizes(search.data.free.model, beside, search.threshold)
 
 
 def smallest_sizes(

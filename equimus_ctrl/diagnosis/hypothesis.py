@@ -199,6 +199,12 @@ def _prefixes(whole: Model, hypothesis: Sequence[Part]) -> list[dict[str, str]]:
     return found
 
 
+def given_names(model: Model, hypothesis: Sequence[Part]) -> tuple[str, ...]:
+    """Dotted names of the parameters of a hypothesis' last part that are given, in the model with it."""
+    (*_, prefix_of) = _prefixes(model_of(model, hypothesis), hypothesis)
+    return tuple(prefix_of[place] + key for place in prefix_of for key in hypothesis[-1].candidate.given)
+
+
 def beside(robot: Robot, part: Part, hypothesis: Hypothesis) -> Hypothesis:
     """What of a hypothesis can stay beside another part: what has no effect in one of its exclusive slots.
 

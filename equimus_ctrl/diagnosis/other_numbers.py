@@ -340,6 +340,7 @@ _ROWS: Mapping[str, tuple[Row, ...]] = {
     # --- what is told -------------------------------------------------------------------------------------------------
     "diagnosis.explanations": (
         ("MOST", 8, "told", "convention", "explanations that are kept beside the one given, for experiments"),
+        ("MOST_HIDDEN", 4, "told", "convention", "effects that may hide beside what was found"),
         ("MOST_NEAREST", 3, "told", "convention", "of those that come nearest to what has no name"),
     ),
     "diagnosis.rivals": (

@@ -6,7 +6,7 @@ import time
 from collections.abc import Iterable
 from dataclasses import replace
 
-from equimus_ctrl.diagnosis.explanations import just_below, left_by, nearest_to
+from equimus_ctrl.diagnosis.explanations import hidden, left_by, nearest_to
 from equimus_ctrl.diagnosis.findings import beyond_range, detectable, findings, named_part, notes, ranking, verdict
 from equimus_ctrl.diagnosis.holdout_residuals import HoldoutResiduals
 from equimus_ctrl.diagnosis.localization import excess_variances, localise
@@ -45,7 +45,7 @@ def report(state: State) -> Diagnosis:
     for finding in undetermined:
         state = state.decided("report", f"{finding.named} not named", finding.undetermined)
     residuals = _residuals(state, holdout)
-    other_answer = bool(told or unexplained) or not settled(state)
+    all_named = not (undetermined or unexplained) and settled(state)
     inputs.progress("done", 1.0, end.best.label)
     return Diagnosis(
         verdict=verdict(named, bool(unexplained or undetermined), settled(state)),
@@ -65,7 +65,7 @@ def report(state: State) -> Diagnosis:
         unexplained=unexplained,
         rejected=_rejected(state),
         ranking=state.ranking or ranking(search, end),
-        detectable=() if other_answer else detectable(search, end),
+        detectable=detectable(search, end) if all_named else (),
         excess_variance={name: float(excess_variances(residuals[name].train, sigma).mean()) for name in STATES},
         notes=(
             *notes(end, split, inputs.settings.exclude, [stage.decides for stage in skipped(state)]),
@@ -81,7 +81,7 @@ def report(state: State) -> Diagnosis:
         another_unit=state.another_unit,
         explanations=left_by(search, end, equivalent, undetermined),
         nearest=nearest_to(search, end, unexplained),
-        below=() if other_answer else just_below(model, end.tried.first, search.threshold),
+        below=hidden(search, end) if all_named else (),
     )
 
 

@@ -14,7 +14,7 @@ from equimus_ctrl.diagnosis.differences import AnotherUnit, Difference
 from equimus_ctrl.diagnosis.estimates import Estimate as Estimate
 from equimus_ctrl.diagnosis.estimates import Named as Named
 from equimus_ctrl.diagnosis.fitting import Fitted
-from equimus_ctrl.diagnosis.hypothesis import Part
+from equimus_ctrl.diagnosis.hypothesis import Hypothesis, Part
 from equimus_ctrl.diagnosis.residuals import ResidualLocation, Residuals, Unexplained
 from equimus_ctrl.diagnosis.rivals import Rivals
 from equimus_ctrl.diagnosis.split_comparison import SplitComparison
@@ -255,7 +255,7 @@ class Diagnosis(Short):
         rejected: effects that were part of a hypothesis until held-out trials, a residual force or the engine's step
             spoke against them; none that is found, undetermined or not distinguishable all the same.
         ranking: all candidates, alone, best first.
-        detectable: smallest detectable sizes of effects; only where nothing was found.
+        detectable: smallest detectable sizes of effects beside what was found, where nothing is left without a name.
         excess_variance: for each state of STATES the excess residual variance on the trials fitted: mean squared
             residual over the noise's variance, minus 1.
         notes: warnings, as sentences.
@@ -268,8 +268,7 @@ class Diagnosis(Short):
         splits: what other splits of the trials say; None where nobody asked.
         explanations: that these recordings leave beside ``best``, see ``explanations.left_by``.
         nearest: what comes nearest to what has no name, see ``explanations.nearest_to``.
-        below: effects at the size that would just have been seen, see ``explanations.just_below``; where nothing was
-            found.
+        below: what may hide beside ``best``, see ``explanations.hidden``; where nothing is left without a name.
     """
 
     verdict: Verdict
@@ -301,7 +300,7 @@ class Diagnosis(Short):
     splits: SplitComparison | None = None
     explanations: tuple[Fitted, ...] = ()
     nearest: tuple[Fitted, ...] = ()
-    below: tuple[Part, ...] = ()
+    below: tuple[Hypothesis, ...] = ()
 
     def told(self) -> str:
         """The verdict, what was found, and how much less the errors are."""

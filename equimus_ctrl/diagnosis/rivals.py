@@ -21,7 +21,7 @@ from scipy.optimize import lsq_linear
 
 from equimus_ctrl.diagnosis.estimates import Named
 from equimus_ctrl.diagnosis.fitting import Data, Fitted
-from equimus_ctrl.diagnosis.hypothesis import Candidate, Part, model_of
+from equimus_ctrl.diagnosis.hypothesis import Candidate, Hypothesis, given_names, parameters_of
 from equimus_ctrl.diagnosis.policy import SearchPolicy
 from equimus_ctrl.diagnosis.residuals import Unexplained
 from equimus_ctrl.diagnosis.scoring import equally_good
@@ -34,7 +34,7 @@ from equimus_ctrl.errors import ConfigError, SimulationDiverged
 from equimus_ctrl.identification.channels import ALSO, Channels
 from equimus_ctrl.identification.information import information, root_of_inverse
 from equimus_ctrl.identification.noise import JointNoise, Noise
-from equimus_ctrl.identification.parameters import FreeParameter, FreeParameters
+from equimus_ctrl.identification.parameters import FreeParameter, FreeParameters, unit_of
 from equimus_ctrl.identification.segments import Segment
 from equimus_ctrl.identification.simulators import Simulator
 from equimus_ctrl.models.model import Model
@@ -62,6 +62,8 @@ class Rival(Short):
         deviance: −2 log likelihood of the recordings so far, without constant terms.
         noise: that its residuals have there, of every joint and other channel.
         accepted: whether the diagnosis takes it for possible; else it is the nearest that there is to what has no name.
+        given: dotted names of parameters of its last effect that are given rather than estimated: it may hide beside
+            what was found, at that size.
     """
 
     effects: tuple[Named, ...]
@@ -71,6 +73,7 @@ class Rival(Short):
     deviance: float
     noise: Noise
     accepted: bool = True
+    given: tuple[str, ...] = ()
 
     def told(self) -> str:
         """Its effects."""
@@ -135,6 +138,18 @@ class Rival(Short):
         own = self.parameters.model.effect_parameters()
         return sum(free.name in own for free in self.parameters.free)
 
+    @property
+    def given_sizes(self) -> tuple[tuple[str, float, str], ...]:
+        """(parameter, value, SI unit) of what is given, each once; of an effect all given its size alone."""
+        model, found = self.model, list[tuple[str, float, str]]()
+        own = model.effect_parameters()
+        for name in self.given:
+            effect, key = own[name]
+            all_given = all(name.removesuffix(key) + other in self.given for other in effect.parameter_info())
+            if not all_given or key == next(iter(effect.parameter_info())):
+                found.append((key, float(getattr(effect, key)), unit_of(model, name)))
+        return tuple(dict.fromkeys(found))
+
     def score(self, n: int) -> float:
         """Bayesian information criterion of the recordings so far, of n numbers, see ``diagnosis.scoring``."""
         return self.deviance + self.n_effect_parameters * float(np.log(n))
@@ -146,6 +161,7 @@ class Rival(Short):
         return {
             "effects": [named.to_dict() for named in self.effects],
             "accepted": self.accepted,
+            "given": list(self.given),
             "deviance": self.deviance,
             "noise": [asdict(own) for own in self.noise],
             "model": {
@@ -180,6 +196,7 @@ class Rival(Short):
             float(data["deviance"]),
             tuple(JointNoise(**own) for own in data["noise"]),
             bool(data["accepted"]),
+            tuple(data.get("given", ())),
         )
 
 
@@ -205,7 +222,9 @@ class Diagnosed(Protocol):
     @property
     def nearest(self) -> tuple[Fitted, ...]: ...
     @property
-    def below(self) -> tuple[Part, ...]: ...
+    def below(self) -> tuple[Hypothesis, ...]: ...
+    @property
+    def base(self) -> Fitted: ...
     @property
     def interval(self) -> float | None: ...
 
@@ -283,6 +302,11 @@ class Rivals(Short):
         """(i, j) of all pairs, each both ways round: how a trial tells j from i where i is true."""
         return list(permutations(range(len(self.rivals)), 2))
 
+    @property
+    def named(self) -> tuple[Rival, ...]:
+        """Those without what may only hide beside the first, see ``Rival.given``."""
+        return tuple(rival for rival in self.rivals if not rival.given)
+
     def simulator(self, threads: int | None = None) -> Simulator:
         """The engine that fits have, at the same step."""
         return Simulator(engine_for(self.model, self.engine, self.step), threads)
@@ -296,9 +320,8 @@ class Rivals(Short):
         """The rivals that a diagnosis leaves.
 
         They are the end of its search, what fits as well, and the end without effects whose parameters are not
-        identified. Where something has no name, also what comes nearest to it; where nothing is missing, effects at the
-        size that would just have been seen, all else that is free refitted beside them, as far as these recordings do
-        not exclude that size.
+        identified. Where something has no name, also what comes nearest to it; else what may hide beside the end, at
+        sizes that are given, all else that is free refitted, as far as these recordings do not exclude that size.
         """
         best, problem = diagnosis.best, diagnosis.best.fit.problem
         fits = {fitted.labels: (fitted, True) for fitted in reversed((best, *diagnosis.explanations))}
@@ -449,22 +472,26 @@ def refitted_to(rival: Rival, diagnosis: Diagnosed) -> Rival:
 
 
 def _not_excluded(first: Rival, diagnosis: Diagnosed) -> list[Rival]:
-    """Effects of known size that fit as well as none, by the rule by which a diagnosis distinguishes explanations."""
+    """What may hide beside the end and fits as well, by the rule by which a diagnosis distinguishes explanations.
+
+    Of sizes of the same effect it is the first.
+    """
     engine = diagnosis.best.fit.problem.simulator.engine
     many_minima = SearchPolicy.of(diagnosis.model.robot.traits, engine).many_minima
-    n, found = sum(s.outputs.size for s in diagnosis.train), list[Rival]()
-    for part in diagnosis.below:
+    n, found = sum(s.outputs.size for s in diagnosis.train), dict[tuple[Named, ...], Rival]()
+    for hypothesis in diagnosis.below:
+        effects = named_effects([part.candidate for part in hypothesis])
+        if effects in found:
+            continue
+        parameters = parameters_of(diagnosis.base.fit.parameters, hypothesis)
+        values = [value for part in hypothesis for value in part.values.values()]
+        theta = np.concatenate([first.theta[: len(parameters.free) - len(values)], values])
+        given = given_names(diagnosis.base.fit.parameters.model, hypothesis)
+        begun = replace(first, effects=effects, parameters=parameters, theta=theta, given=given)
         try:
-            rival = refitted_to(_with_known(first, part), diagnosis)
+            rival = refitted_to(begun, diagnosis)
         except SimulationDiverged:  # of that size it is not there
             continue
         if rival.score(n) - first.score(n) <= equally_good(Thresholds(), n, many_minima):
-            found.append(rival)
-    return found
-
-
-def _with_known(rival: Rival, part: Part) -> Rival:
-    """A rival with one effect more, of known size, everything else as without it."""
-    model = model_of(rival.parameters.model, (part,))
-    named = (*rival.effects, *named_effects([part.candidate]))
-    return replace(rival, effects=named, parameters=replace(rival.parameters, model=model))
+            found[effects] = rival
+    return list(found.values())

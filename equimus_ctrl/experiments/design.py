@@ -45,6 +45,8 @@ LEADERS = 2
 """Families whose designs are compared first."""
 DECIDED = 0.01
 """A pair that is settled with all but this chance, or with no more, in all of them does not decide between them."""
+ALIKE = 0.05
+"""Chances of settling what may be in the place of what was found differ by no less."""
 FEW_DRAWS = 3
 """Of the true rival where candidates are compared."""
 COSTLY_DRAWS = 4
@@ -304,13 +306,17 @@ class _Judged:
     powers: Sequence[Power]
 
     @property
-    def score(self) -> tuple[float, list[float]]:
-        """The mean chance, to 1 %, and then gaps over their uncertainty, the worst pair's first.
+    def score(self) -> tuple[float, float, list[float]]:
+        """The mean chances, and then gaps over their uncertainty, the worst pair's first.
 
-        Of designs that settle all pairs, the one that would still do so if a law were a little wrong.
+        What may only hide beside what was found comes second to what may be in its place, of which the chance counts
+        to ``ALIKE``. Of designs that settle all pairs it is the one that would still do so if a law were a little
+        wrong.
         """
-        chance = float(np.mean([one.chance for one in self.powers])) if self.powers else 0.0
-        return round(chance, 2), sorted(round(_surety(one), 1) for one in self.powers)
+        rivals = self.kept.ground.rivals.rivals
+        named = [one.chance for one in self.powers if not (rivals[one.first].given or rivals[one.second].given)]
+        chance, whole = (float(np.mean(own)) if own else 0.0 for own in (named, [one.chance for one in self.powers]))
+        return round(chance / ALIKE), round(whole, 2), sorted(round(_surety(one), 1) for one in self.powers)
 
 
 def _surety(power: Power) -> float:

@@ -21,7 +21,6 @@ from equimus_ctrl.diagnosis.rivals import Rival, Rivals, refitted_to
 from equimus_ctrl.errors import SimulationDiverged
 from equimus_ctrl.experiments.power import LIKELY, margin
 from equimus_ctrl.experiments.results import Pair
-from equimus_ctrl.identification.parameters import unit_of
 from equimus_ctrl.shown import counted
 
 End = Literal["resolved", "inseparable", "trials", "seconds"]
@@ -85,17 +84,9 @@ class Belief:
 
 
 def label_of(rival: Rival) -> str:
-    """The label of an explanation; where an effect's size is given, with that, for one of another size is another."""
-    if not rival.effects or rival.n_effect_parameters:
-        return rival.label
-    model, sizes = rival.model, list[str]()
-    for effect, prefix in zip(model.effects, model.effect_prefixes(), strict=True):
-        key = next(iter(effect.parameter_info()))
-        unit = unit_of(model, prefix + key)
-        size = f"{key} {getattr(effect, key):.3g}" + (f" {unit}" if unit != "1" else "")
-        if size not in sizes:
-            sizes.append(size)
-    return f"{rival.label} ({', '.join(sizes)})"
+    """The label of an explanation; where sizes are given, with these, for one of another size is another."""
+    sizes = [f"{key} {value:.3g}" + (f" {unit}" if unit != "1" else "") for key, value, unit in rival.given_sizes]
+    return f"{rival.label} ({', '.join(sizes)})" if sizes else rival.label
 
 
 def no_longer_left(before: Rivals | None, diagnosis: Diagnosis, now: Rivals) -> tuple[Rival, ...]:

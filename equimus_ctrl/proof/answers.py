@@ -67,11 +67,12 @@ class Places:
         """Which effects act where; one effect found at two places separately is the same as in both together."""
         found: dict[str, frozenset[str]] = {}
         for finding in findings:
-            effect, where = self._key(finding)
+            effect, where = self.key(finding)
             found[effect] = found.get(effect, frozenset()) | where
         return found
 
-    def _key(self, named: Mapping[str, Any]) -> tuple[str, frozenset[str]]:
+    def key(self, named: Mapping[str, Any]) -> tuple[str, frozenset[str]]:
+        """An effect and its places, comparable."""
         return named["effect"], frozenset(self.same(location) for location in named["locations"])
 
     def in_group(self, wanted: Parts, findings: Sequence[Mapping[str, Any]]) -> bool:
@@ -81,11 +82,20 @@ class Places:
         """
         if self.parts(findings) == dict(wanted) or _summands(self.parts(findings)) == _summands(wanted):
             return True
-        options = [{self._key(f), *(self._key(e) for e in f.get("equivalent", ()))} for f in findings]
+        options = [{self.key(f), *(self.key(e) for e in f.get("equivalent", ()))} for f in findings]
         if len(options) != len(wanted):
             return False
         orders = itertools.permutations(wanted.items())
         return any(all(key in own for key, own in zip(order, options, strict=True)) for order in orders)
+
+
+def _too_small(true: Mapping[str, Any], detectable: float | None) -> bool:
+    """Whether an effect is no larger than the smallest detectable size of it; None where it was seen at none."""
+    if detectable is None:
+        return True
+    law = REGISTRY[true["effect"]]
+    size = float(true["parameters"][next(iter(law.parameter_info()))])
+    return abs(size - (law.grows_from() or 0.0)) <= detectable
 
 
 def _summands(parts: Parts) -> dict[str, frozenset[str]]:
@@ -218,10 +228,42 @@ class Case:
         answer = self.answer(OURS)
         if answer.failed or answer.silent or self.kind == "outside":
             return False
+        return self._among_left(self.wanted)
+
+    def but_for_unseen(self) -> bool:
+        """Whether the diagnosis is right but for what it says that it would not have seen.
+
+        That is each effect of no more than the smallest detectable size that the diagnosis tells of it there. The
+        others are what it names, or among what it does not distinguish. Or what is there is an explanation that it does
+        not exclude, at no more than the size that it gives.
+        """
+        answer, places = self.answer(OURS), self.places
+        if answer.failed or answer.unexplained or self.truth["outside"]:
+            return False
         left = self.report.get("rivals", {}).get("explanations", ())
-        wanted = _summands(self.wanted)
-        return self.places.in_group(self.wanted, answer.findings) or any(
-            own["accepted"] and _summands(self.places.parts(own["effects"])) == wanted for own in left
+        if any(own.get("given") and self._within(own) for own in left):
+            return True
+        sizes = {places.key(own): own["size"] for own in self.report.get("detectable", ())}
+        seen = [own for own in self.truth["findings"] if not _too_small(own, sizes.get(places.key(own), 0.0))]
+        if len(seen) == len(self.truth["findings"]):
+            return False
+        return places.parts(answer.findings) == places.parts(seen) or self._among_left(places.parts(seen))
+
+    def _within(self, explanation: Mapping[str, Any]) -> bool:
+        """Whether what is there is an explanation of a given size, or a smaller one."""
+        if _summands(self.places.parts(explanation["effects"])) != _summands(self.wanted):
+            return False
+        law, key = explanation["effects"][-1]["effect"], explanation["given"][0].rpartition(".")[2]
+        (given, *_) = [own[key] for own in explanation["model"]["effects"] if own["effect"] == law]
+        (true, *_) = [own for own in self.truth["findings"] if own["effect"] == law]
+        nothing = (REGISTRY[law].grows_from() or 0.0) if key == next(iter(REGISTRY[law].parameter_info())) else 0.0
+        return bool(abs(true["parameters"][key] - nothing) <= abs(given - nothing))
+
+    def _among_left(self, wanted: Parts) -> bool:
+        left = self.report.get("rivals", {}).get("explanations", ())
+        possible = [own for own in left if own["accepted"] and not own.get("given")]
+        return self.places.in_group(wanted, self.answer(OURS).findings) or any(
+            _summands(self.places.parts(own["effects"])) == _summands(wanted) for own in possible
         )
 
     def unexplained(self, method: Method) -> bool:

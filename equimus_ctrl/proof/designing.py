@@ -22,8 +22,9 @@ from equimus_ctrl.proof.blind import as_text
 from equimus_ctrl.proof.fingerprint import PARTS, fingerprint
 
 End = Literal["resolved", "inseparable", "none", "failed"]
-"""Why a case has no further trial: one explanation is left; nothing more can be distinguished within the limits; no
-trial could be designed, for the robot rests nowhere or nothing that moves it keeps the limits; or something failed."""
+"""Why a case has no further trial: one explanation is left, beside which nothing more can be seen; nothing more can be
+distinguished within the limits; no trial could be designed, for the robot rests nowhere or nothing that moves it keeps
+the limits; or something failed."""
 SEEDS = 2**20
 """Seeds of searches are below that."""
 
@@ -66,6 +67,7 @@ class Design:
         predicted: what it is expected to distinguish.
         rate: of the recordings so far [1/s].
         notes: that recordings of it have to have, see ``Rivals.notes``.
+        alone: whether one explanation is left but for what may hide beside it.
         end: why there is none by itself, see ``End``; None where there is one.
         said: the same as a sentence.
         seconds: that the design took.
@@ -75,6 +77,7 @@ class Design:
     predicted: tuple[Predicted, ...]
     rate: float
     notes: Mapping[str, str]
+    alone: bool
     end: End | None
     said: str
     seconds: float
@@ -90,8 +93,8 @@ class Design:
                 np.array(own["times"]), np.array(own["commands"]), own["duration_s"], start, own["notes"]
             )
         predicted = tuple(Predicted.from_dict(pair) for pair in data["predicted"])
-        rate, notes = data["rate_hz"], data["notes"]
-        return cls(commands, predicted, rate, notes, data["end"], data["said"], data["proof"]["seconds"])
+        rate, notes, alone = data["rate_hz"], data["notes"], data["alone"]
+        return cls(commands, predicted, rate, notes, alone, data["end"], data["said"], data["proof"]["seconds"])
 
     def ends(self, left: int) -> End | None:
         """Why no trial is made; None where one is.
@@ -101,7 +104,9 @@ class Design:
         """
         if self.end is not None or self.commands is None:
             return self.end or "none"
-        return None if worth_making(self.predicted, left) else "inseparable"
+        if worth_making(self.predicted, left):
+            return None
+        return "resolved" if self.alone else "inseparable"
 
 
 def next_trial(
@@ -122,6 +127,7 @@ def next_trial(
     rivals = Rivals.from_dict(left, model)
     found: dict[str, Any] = {
         "end": None, "said": "", "commands": None, "predicted": [], "rate_hz": rivals.rate, "notes": rivals.notes,
+        "alone": len(rivals.named) == 1,
     }  # fmt: skip
     if len(rivals.rivals) == 1:
         found |= {"end": "resolved", "said": f"one explanation is left: {rivals.rivals[0].label}"}

@@ -18,11 +18,13 @@ from equimus_ctrl.proof.scoring import Goal, counted_goal
 from equimus_ctrl.proof.shares import Share
 from equimus_ctrl.robots.base import Robot
 
-Outcome = Literal["exact", "told", "silent", "wrong", "failed"]
-"""What an answer is: exactly right; not, but what is there is among what it tells as not distinguishable; nothing found
-though something is missing; something else named; no answer."""
+Outcome = Literal["exact", "told", "unseen", "silent", "wrong", "failed"]
+"""What an answer is: exactly right; not, but what is there is among what it tells as not distinguishable; or so but for
+effects that are smaller than what it says that it would have seen; nothing found though something is missing; something
+else named; no answer."""
 OUTCOMES: tuple[Outcome, ...] = get_args(Outcome)
-RIGHT: tuple[Outcome, ...] = ("exact", "told")
+RIGHT: tuple[Outcome, ...] = ("exact", "told", "unseen")
+KNOWN = "right, not distinguishable or too small to be seen"
 LEAST_RIGHT, LEAST_NEAR = 0.95, 0.90
 FACTOR = 2.0
 """Within what predicted gaps are to be of the realised ones."""
@@ -37,6 +39,8 @@ def outcome(case: Case) -> Outcome:
         return "exact"
     if case.among_left():
         return "told"
+    if case.but_for_unseen():
+        return "unseen"
     return "silent" if answer.silent else "wrong"
 
 
@@ -184,7 +188,7 @@ class Resolved:
     def told(self) -> str:
         """Right answers after each number of trials, as a clause."""
         shares = ", ".join(f"{share.count}" for share in self.shares())
-        return f"right or not distinguishable after 0 to {self.most} designed trials: {shares} of {len(self.followed)}"
+        return f"{KNOWN} after 0 to {self.most} designed trials: {shares} of {len(self.followed)}"
 
     @cached_property
     def gaps(self) -> tuple[Gap, ...]:
@@ -223,7 +227,7 @@ class Resolved:
     @property
     def goals(self) -> tuple[Goal, ...]:
         """All of them."""
-        after = f"after {self.most} designed trial{'s' * (self.most > 1)}: right or not distinguishable"
+        after = f"after {self.most} designed trial{'s' * (self.most > 1)}: {KNOWN}"
         return (
             counted_goal("resolved", after, self.shares()[-1], LEAST_RIGHT),
             counted_goal("gaps", "realised gaps within a factor of 2, and noise", self.near, LEAST_NEAR),

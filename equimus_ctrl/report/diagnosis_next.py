@@ -101,17 +101,17 @@ def deciding(diagnosis: Diagnosis, command_line: str = "") -> tuple[str, str] | 
     what = [
         (bool(diagnosis.explanations), "explanations that these recordings do not distinguish"),
         (bool(diagnosis.nearest), "explanations that come near to what has no name"),
-        (bool(diagnosis.below), "effects that these recordings would just not have shown"),
     ]
-    if not any(there for there, _ in what):
+    does = [f"decides between {text}" for text in [listed([text for there, text in what if there])] if text]
+    does += ["shows effects that these recordings would just not have shown"] if diagnosis.below else []
+    if not does:
         return None
     given = shlex.split(command_line)
     again = command_line or f"equimus-ctrl diagnose {RECORDINGS}"
     report = _value(given, "--report")
     design = shlex.join(["equimus-ctrl", "experiment", "design", report or REPORT, *_of_model(given)])
-    between = listed([text for there, text in what if there])
     return (
-        f"Design a trial that decides between {between}.",
+        f"Design a trial that {listed(does)}.",
         design if report else f"{again} --report {REPORT} && {design}",
     )
 

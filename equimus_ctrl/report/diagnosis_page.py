@@ -301,7 +301,8 @@ def _detectable(diagnosis: Diagnosis) -> str:
     rows = diagnosis_text.detectables(diagnosis)
     if not rows:
         return ""
-    text = "<p>Nothing was found. An effect of this size, its other parameters at median values, would be accepted.</p>"
+    beside = " beside what was found" if diagnosis.findings else ""
+    text = f"<p>An effect of this size, its other parameters at median values, would be accepted{beside}.</p>"
     return text + table_html(("effect", "smallest size"), rows, 2)
 
 

@@ -20,8 +20,10 @@ TOLD_REMEDIES = 3
 
 
 def named(rival: Rival) -> str:
-    """An explanation in words."""
-    return " and ".join(short(own) for own in rival.effects) or NOTHING
+    """An explanation in words, with the sizes that are given."""
+    words = " and ".join(short(own) for own in rival.effects) or NOTHING
+    sizes = [f"{key.replace('_', ' ')} {quantity(value, unit, 2)}" for key, value, unit in rival.given_sizes]
+    return f"{words} ({', '.join(sizes)})" if sizes else words
 
 
 def headline(found: Designed) -> str:

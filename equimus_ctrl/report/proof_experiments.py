@@ -19,6 +19,7 @@ from equimus_ctrl.shown import counted
 NAMES = {
     "exact": "exactly right",
     "told": "not distinguished, the truth among what is left",
+    "unseen": "right but for what is smaller than it says to see",
     "silent": "nothing found, though something is missing",
     "wrong": "wrong",
     "failed": "failed",
@@ -56,7 +57,7 @@ def outcomes_sheet(found: Resolved) -> Sheet:
     rows = [(NAMES[name], *map(str, found.shares((name,)))) for name in OUTCOMES]
     right = found.shares()
     rows = [
-        ("right or not distinguishable", *map(str, right)),
+        ("right, not distinguishable or unseen", *map(str, right)),
         ("95 % interval", *(ends_of(share) if share.of else NOTHING for share in right)),
         *(row for row, name in zip(rows, OUTCOMES, strict=True) if any(s.count for s in found.shares((name,)))),
     ]
@@ -118,7 +119,7 @@ def experiments_figure(found: Resolved) -> Figure:
     figure = style.new_figure(11.0, 5.0, "Diagnoses with designed trials")
     left, right = figure.subplots(1, 2)
     lines = {
-        "right or not distinguishable": found.shares(),
+        "right, not distinguishable or unseen": found.shares(),
         "exactly right": found.shares(("exact",)),
         "nothing found": found.shares(("silent",)),
         "wrong": found.shares(("wrong", "failed")),

@@ -76,6 +76,7 @@ ENDS: Mapping[End, str] = {
     "trials": "as many trials were made as were asked for",
     "seconds": "another trial would take longer than was asked for",
 }
+NOTHING_BESIDE = "beside it nothing more can be seen within the limits"
 
 
 @dataclass(frozen=True, eq=False)
@@ -360,9 +361,13 @@ def _steps(bench: _Bench, steps: Sequence[Step]) -> Iterator[Step]:
 def _ended(bench: _Bench, steps: Sequence[Step]) -> tuple[End, str]:
     """Why there was no further trial, and the same as a sentence."""
     last = steps[-1]
-    if len(last.rivals.rivals) == 1:
+    if len(last.rivals.named) == 1:
         whole = last.verdict not in ("partly_explained", "unexplained")
-        return "resolved", ENDS["resolved"] + ("" if whole else ", which does not explain all that was measured")
+        said = ENDS["resolved"] + ("" if whole else ", which does not explain all that was measured")
+        if len(last.rivals.rivals) > 1:
+            spent = bench.spent(steps)
+            said += f"; {NOTHING_BESIDE if spent is None else ENDS[spent]}"
+        return "resolved", said
     if (end := bench.spent(steps)) is not None:
         return end, ENDS[end]
     plan = Plan.read(bench.place(last.number + 1))
