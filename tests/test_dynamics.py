@@ -155,6 +155,21 @@ def test_what_the_equations_cannot_hold_is_a_sentence() -> None:
     assert "which cannot hold its tendon 'cord' that wraps around a geom" in refusal(lambda: Dynamics(Model(ball)))
 
 
+def test_dry_friction_over_two_joints_acts_against_the_sum_of_their_rates() -> None:
+    first, second = next(iter(HINGES.next_hinges.items()))
+    own = REGISTRY["coupled_friction"](first, friction=0.3)
+    plain, rubbing = (Dynamics(Model(HINGES, effects)) for effects in ((), (own,)))
+    places = [HINGES.joint_names.index(name) for name in (first, second)]
+    still = np.zeros(len(HINGES.joint_names))
+    for rates, torque in (((0.5, 0.4), 0.3), ((-0.5, 0.1), -0.3), ((0.4, -0.4), 0.0)):
+        v = still.copy()
+        v[places] = rates
+        more = rubbing.needed(still, v, still) - plain.needed(still, v, still)
+        wanted = still.copy()
+        wanted[places] = torque
+        assert more == pytest.approx(wanted, abs=1e-6), rates
+
+
 def test_friction_that_grows_with_what_a_drive_exerts_is_refused() -> None:
     joint = CRANE.joint_names[0]
     law = REGISTRY["load_friction"]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -13,12 +14,13 @@ from poor_legs import hidden
 from rival_legs import of_a_pendulum, read_back, rivals_of, with_other
 
 from equimus_ctrl.diagnosis.diagnose import DiagnosisSettings, diagnose
-from equimus_ctrl.diagnosis.explanations import just_below
+from equimus_ctrl.diagnosis.explanations import just_below, richer
 from equimus_ctrl.diagnosis.holdout import split
-from equimus_ctrl.diagnosis.hypothesis import Hypothesis, Part, default_free_parameters
+from equimus_ctrl.diagnosis.hypothesis import Candidate, Hypothesis, Part, default_free_parameters
 from equimus_ctrl.diagnosis.results import Diagnosis, Named
 from equimus_ctrl.diagnosis.rivals import Rivals, refitted_to
 from equimus_ctrl.diagnosis.screening import Screened
+from equimus_ctrl.effects.base import REGISTRY
 from equimus_ctrl.errors import ConfigError
 from equimus_ctrl.experiments.predicted import Commands
 from equimus_ctrl.experiments.separation import separations
@@ -152,13 +154,12 @@ def test_a_record_is_not_read_with_another_robot(diagnosis: Diagnosis) -> None:
 
 
 def test_the_least_visible_effects_stand_at_the_size_that_would_have_been_seen() -> None:
-    candidate = part_of("dead_zone", ("baa",), {"threshold": 100.0}).candidate
-    other = part_of("dead_zone", ("maa",), {"threshold": 100.0}).candidate
+    guesses = tuple({"threshold": size} for size in (100.0, 200.0, 400.0))
+    candidate, other = (Candidate(REGISTRY["dead_zone"], (place,), guesses) for place in ("baa", "maa"))
 
     def screened(own: object, strengths: list[float]) -> Screened:
-        tried = tuple({"threshold": size} for size in (100.0, 200.0, 400.0))
         nothing = np.empty(0)
-        return Screened(own, (), nothing, (0.0,), tried, np.array(strengths))  # type: ignore[arg-type]
+        return Screened(own, (), nothing, (0.0,), guesses, np.array(strengths))  # type: ignore[arg-type]
 
     clear, faint = screened(candidate, [400.0, 1600.0, 6400.0]), screened(other, [10.0, 40.0, 160.0])
     parts = just_below(nominal_model(), [clear, faint], 100.0)
@@ -168,6 +169,24 @@ def test_the_least_visible_effects_stand_at_the_size_that_would_have_been_seen()
         (("baa",), pytest.approx(50.0)),
     ]
     assert just_below(nominal_model(), [screened(other, [1.0, 4.0, 16.0])], 100.0) == ()
+
+
+def test_a_richer_law_may_hide_behind_the_plain_one_with_what_that_lacks_given() -> None:
+    plain = part_of("coulomb_friction", ("knee",), {"friction": 0.01})
+    guesses = tuple({"friction": 0.1, "breakaway": size, "velocity": 0.2} for size in (0.02, 0.1))
+    stribeck = Candidate(REGISTRY["stribeck_friction"], ("knee",), guesses)
+    elsewhere = Candidate(REGISTRY["stribeck_friction"], ("hip",), guesses)
+    both_ways = {"forward": 0.1, "backward": 0.2}  # at some sizes it is the plain law
+    asymmetric = Candidate(REGISTRY["asymmetric_friction"], ("knee",), (both_ways,))
+    search, best = SimpleNamespace(pool=[asymmetric, stribeck, elsewhere]), SimpleNamespace(hypothesis=(plain,))
+    found = list(richer(search, best))  # type: ignore[arg-type]
+    assert [own.candidate.given for (own,) in found] == [
+        {"breakaway": size, "velocity": 0.2}
+        for size in (0.1, 0.02)  # the strongest first
+    ]
+    (strong,), _ = found
+    assert strong.values == {"friction": 0.01} and strong.candidate.n_parameters == 1
+    assert strong.effects[0].parameters() == {"friction": 0.01, "breakaway": 0.1, "velocity": 0.2}
 
 
 @pytest.mark.slow

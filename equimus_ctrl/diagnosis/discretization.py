@@ -78,7 +78,7 @@ def without_step_error(
     )
     base = finely(end.base)
     # Alternatives were fitted with the XML's step, so their likelihoods are not comparable with what follows.
-    anew = SearchHistory((base,), screened=end.tried.screened, rejected=end.tried.rejected)
+    anew = SearchHistory((base,), first=end.tried.first, rejected=end.tried.rejected)
     start = replace(end, base=base, alternatives=tuple(() for _ in best.hypothesis), tried=anew)
     exact = exact_search.moved(start, exact_best if best.hypothesis else base)
     exact = without_parts(exact_search, exact, needless[:1])

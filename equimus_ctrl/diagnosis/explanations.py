@@ -2,25 +2,26 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
 
-from equimus_ctrl.diagnosis.findings import smallest_size
 from equimus_ctrl.diagnosis.fitting import Fitted
-from equimus_ctrl.diagnosis.hypothesis import Hypothesis, Part
+from equimus_ctrl.diagnosis.hypothesis import Candidate, Hypothesis, Part
 from equimus_ctrl.diagnosis.residuals import ResidualForce, Unexplained
 from equimus_ctrl.diagnosis.results import Equivalent, Finding
 from equimus_ctrl.diagnosis.richer_laws import holds
-from equimus_ctrl.diagnosis.screening import Screened
+from equimus_ctrl.diagnosis.screening import Screened, screen_strengths
 from equimus_ctrl.diagnosis.search import Search
 from equimus_ctrl.diagnosis.search_state import SearchState
+from equimus_ctrl.diagnosis.smallest_sizes import FAR, is_near, near_threshold, resized
 from equimus_ctrl.models.model import Model
 
 MOST = 8
 """So many are kept: each holds residuals of all trials."""
+GUESSES = 500
+"""Simulated at most, for what candidates change beside what was found."""
 MOST_HIDDEN = 4
 """So many effects that may hide beside it."""
 MOST_NEAREST = 3
@@ -67,7 +68,30 @@ def nearest_to(search: Search, end: SearchState, unexplained: Sequence[Unexplain
     return tuple(found.values())[:MOST_NEAREST]
 
 
-def hidden(search: Search, end: SearchState) -> tuple[Hypothesis, ...]:
+def strengths_beside(search: Search, end: SearchState, known: bool) -> Sequence[Screened]:
+    """What candidates change beside a search's end, whatever else is free moved along.
+
+    Of a robot with so many that their guesses are more than ``GUESSES``, only those that the search simulated: a torque
+    domain rules out the others.
+
+    Args:
+        search: that ended there.
+        end: of the search.
+        known: whether only what the search has simulated already is wanted.
+    """
+    if known:
+        return () if end.best.hypothesis else end.tried.first
+    few = sum(len(candidate.guesses) for candidate in search.pool) <= GUESSES
+    pool = search.pool if few else [s.candidate for s in end.tried.first]
+
+    def strengths(some: Sequence[Candidate]) -> list[Screened]:
+        found = screen_strengths(search.data, end.best, some)
+        return [s for s in found if len(s.hypothesis) > len(end.best.hypothesis)]  # those that take no part's place
+
+    return near_threshold(strengths(pool), search.threshold, strengths)
+
+
+def hidden(search: Search, end: SearchState, strengths: Sequence[Screened]) -> tuple[Hypothesis, ...]:
     """What may hide beside the end: effects more, and richer laws in its parts' places, of sizes that are given.
 
     Effects stand at the size at which they alone would change predictions by half of what is not distinguished, see
@@ -77,15 +101,14 @@ def hidden(search: Search, end: SearchState) -> tuple[Hypothesis, ...]:
     Args:
         search: that ended there.
         end: of the search.
+        strengths: of effects more, see ``strengths_beside``.
     """
-    t, best = search.data.thresholds, end.best
-    known = end.tried.screened.get(best.labels, ())
-    beside = [s for s in known if len(s.hypothesis) > len(best.hypothesis)]  # those that take no part's place
-    parts = just_below(search.data.free.model, beside, search.equally_good(t) / 2)
-    return (*_richer(search, best), *((*best.hypothesis, part) for part in parts[:MOST_HIDDEN]))
+    best, level = end.best, search.equally_good(search.data.thresholds) / 2
+    parts = just_below(search.data.free.model, strengths, level)
+    return (*richer(search, best), *((*best.hypothesis, part) for part in parts[:MOST_HIDDEN]))
 
 
-def _richer(search: Search, best: Fitted) -> Iterator[Hypothesis]:
+def richer(search: Search, best: Fitted) -> Iterator[Hypothesis]:
     """Richer laws in the place of a hypothesis' parts, with what the simpler law lacks given at each of its guesses."""
     for k, part in enumerate(best.hypothesis):
         rest = (*best.hypothesis[:k], *best.hypothesis[k + 1 :])
@@ -118,13 +141,13 @@ def just_below(model: Model, screened: Sequence[Screened], level: float) -> tupl
         if s.candidate.each or s.candidate.absent or nothing is None:
             continue
         key = next(iter(s.candidate.effect.parameter_info()))
-        sizes = np.array([guess[key] - nothing for guess in s.tried])
-        size = smallest_size(s, level)
-        nearest = int(np.argmin(np.abs(np.log(np.maximum(np.abs(sizes), 1e-300) / max(size, 1e-300)))))
-        values = {**s.tried[nearest], key: nothing + math.copysign(size, sizes[nearest])}
-        if size <= np.abs(sizes).max() and _can_be(s, values, key, model):
+        if not is_near(s, level, FAR):
+            continue
+        values = resized(s, level)
+        size, guessed = abs(values[key] - nothing), np.abs([guess[key] - nothing for guess in s.candidate.guesses])
+        if size <= guessed.max() and _can_be(s, values, key, model):
             given = replace(s.candidate, guesses=(), given={**s.candidate.given, **values})
-            found.append((size / float(np.median(np.abs(sizes))), Part(given, {})))
+            found.append((size / float(np.median(guessed)), Part(given, {})))
     found.sort(key=lambda own: -own[0])
     kept, there = list[Part](), set[tuple[str, str]]()
     for _, part in found:

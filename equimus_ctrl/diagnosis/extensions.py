@@ -159,8 +159,8 @@ class Extensions(Scoring):
             pool = worth_simulating(self.data, domain, fitted, pool)
         choice = Choice(pool, most if known is None else len(pool), known is not None)
         screened = screen(self.data, fitted, pool)
-        if not fitted.hypothesis or not (replaced or known):
-            tried = tried.having_screened(fitted, screened)
+        if not fitted.hypothesis and not tried.first:
+            tried = replace(tried, first=tuple(screened))
         proposals = [*self._promising(fitted, screened, choice), *self._splits(tried, fitted)]
         if known is None:
             proposals += (Proposal(*begun) for begun in wider(self.data, fitted, pool))

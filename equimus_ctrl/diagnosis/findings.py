@@ -18,7 +18,6 @@ from equimus_ctrl.diagnosis.holdout import Split
 from equimus_ctrl.diagnosis.holdout_residuals import HoldoutResiduals
 from equimus_ctrl.diagnosis.hypothesis import Candidate, Part
 from equimus_ctrl.diagnosis.results import (
-    Detectable,
     Equivalent,
     Estimate,
     Evidence,
@@ -27,12 +26,11 @@ from equimus_ctrl.diagnosis.results import (
     Ranked,
     Verdict,
 )
-from equimus_ctrl.diagnosis.screening import Screened
 from equimus_ctrl.diagnosis.search import Search
 from equimus_ctrl.diagnosis.search_state import SearchHistory, SearchState
 from equimus_ctrl.diagnosis.thresholds import Thresholds
 from equimus_ctrl.identification.fit import FitSettings
-from equimus_ctrl.identification.parameters import in_group, place_unit
+from equimus_ctrl.identification.parameters import in_group
 from equimus_ctrl.identification.results import zeros_sentence
 from equimus_ctrl.identification.segments import groups_of
 from equimus_ctrl.models.model import Model
@@ -326,54 +324,6 @@ def ranking(search: Search, end: SearchState) -> tuple[Ranked, ...]:
         if not s.candidate.absent
     ]
     return tuple(sorted(ranked, key=lambda r: -max(r.fitted or 0.0, r.screened if r.fitted is None else 0.0)))
-
-
-def detectable(search: Search, end: SearchState) -> tuple[Detectable, ...]:
-    """The smallest size of each effect that would have been accepted beside what was, see ``smallest_sizes``."""
-    known = end.tried.screened.get(end.best.labels, ())
-    beside = [s for s in known if len(s.hypothesis) > len(end.best.hypothesis)]  # those that take no part's place
-    return smallest_sizes(search.data.free.model, beside, search.threshold)
-
-
-def smallest_sizes(
-    model: Model, screened: Sequence[Screened], threshold: Callable[[int], float]
-) -> tuple[Detectable, ...]:
-    """The smallest size of each effect that would be accepted, to first order.
-
-    χ² of its change beyond the free parameters, ``Screened.strength``, grows with the square of the size. So from the
-    guess of size a whose strength s is nearest to the acceptance threshold the smallest size is a·√(threshold/s). Of an
-    effect without a size it is the weakest guess that would be accepted; nan where none would.
-
-    Args:
-        model: at whose places the effects are.
-        screened: each candidate alone.
-        threshold: acceptance threshold of an effect with so many parameters.
-    """
-    smallest = []
-    for s in screened:
-        if s.candidate.each or s.candidate.absent:  # of which each place, and all groups, are candidates by themselves
-            continue
-        size = smallest_size(s, threshold(s.candidate.n_parameters))
-        key = next(iter(s.candidate.effect.parameter_info()))
-        unit = s.candidate.effect.parameter_info()[key]["unit"]
-        unit_there = place_unit(model, unit, s.candidate.locations[0])
-        named = named_candidate(s.candidate)
-        smallest.append(Detectable(named, key, size, unit_there))
-    return tuple(smallest)
-
-
-def smallest_size(screened: Screened, threshold: float) -> float:
-    """The value of the first parameter at which the change alone would be accepted, from the closest guess."""
-    key, nothing = next(iter(screened.candidate.effect.parameter_info())), screened.candidate.effect.grows_from()
-    values = np.array([guess[key] for guess in screened.tried])
-    strength = np.maximum(screened.strength, 1e-300)
-    if nothing is not None:
-        nearest = int(np.argmin(np.abs(np.log(strength / threshold))))
-        return float(abs(values[nearest] - nothing) * math.sqrt(threshold / strength[nearest]))
-    seen = strength >= threshold
-    if not seen.any():
-        return math.nan
-    return float(values[seen][np.argmin(strength[seen])])
 
 
 def notes(end: SearchState, split: Split, excluded: Sequence[str], not_done: Sequence[str]) -> list[str]:

@@ -291,6 +291,6 @@ def rebuilt(apart: Apart, before: SearchState) -> SearchState:
     """
     search = apart.search
     same = before.base.fit.parameters.names == search.data.free.names
-    tried = before.tried if same else SearchHistory(screened=before.tried.screened, rejected=before.tried.rejected)
+    tried = before.tried if same else SearchHistory(first=before.tried.first, rejected=before.tried.rejected)
     base = before.base if same else search.refit(tried, apart.best, ())[0]
     return search.moved(replace(before, base=base, tried=tried), apart.best)

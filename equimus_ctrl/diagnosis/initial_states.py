@@ -45,7 +45,7 @@ def free_initial_states(state: State) -> State:
         return state.decided(NAME, "trials begin without a memory", reason)
     search = replace(search, data=data)
     # Fits without free initial states cannot be compared with others.
-    tried = SearchHistory(screened=end.tried.screened, rejected=end.tried.rejected)
+    tried = SearchHistory(first=end.tried.first, rejected=end.tried.rejected)
     end = search.moved(replace(end, tried=tried), best)
     of = ", ".join(str(named_part(part)) for part in best.hypothesis if unknown_starts(part.effects))
     note = f"Each trial begins with a state of its own of {of}: no recording shows the way before."

@@ -340,8 +340,15 @@ _ROWS: Mapping[str, tuple[Row, ...]] = {
     # --- what is told -------------------------------------------------------------------------------------------------
     "diagnosis.explanations": (
         ("MOST", 8, "told", "convention", "explanations that are kept beside the one given, for experiments"),
+        ("GUESSES", 500, "looked at", "convention", "of sizes, for the smallest detectable ones"),
         ("MOST_HIDDEN", 4, "told", "convention", "effects that may hide beside what was found"),
         ("MOST_NEAREST", 3, "told", "convention", "of those that come nearest to what has no name"),
+    ),
+    "diagnosis.smallest_sizes": (
+        ("ROUNDS", 3, "looked at", "convention", "how often sizes are looked at again"),
+        ("NEAR", 1.5, "told", "convention", "factor of χ² from the threshold within which a size is told"),
+        ("FAR", 10.0, "told", "convention", "and beyond which nothing is said of it"),
+        ("MOST_CHANGED", 30.0, "looked at", "convention", "factor by which a size changes from one round to the next"),
     ),
     "diagnosis.rivals": (
         (

@@ -6,13 +6,14 @@ import time
 from collections.abc import Iterable
 from dataclasses import replace
 
-from equimus_ctrl.diagnosis.explanations import hidden, left_by, nearest_to
-from equimus_ctrl.diagnosis.findings import beyond_range, detectable, findings, named_part, notes, ranking, verdict
+from equimus_ctrl.diagnosis.explanations import hidden, left_by, nearest_to, strengths_beside
+from equimus_ctrl.diagnosis.findings import beyond_range, findings, named_part, notes, ranking, verdict
 from equimus_ctrl.diagnosis.holdout_residuals import HoldoutResiduals
 from equimus_ctrl.diagnosis.localization import excess_variances, localise
 from equimus_ctrl.diagnosis.noise_size import noise_sizes
 from equimus_ctrl.diagnosis.residuals import Residuals
 from equimus_ctrl.diagnosis.results import STATES, Diagnosis, Rejected
+from equimus_ctrl.diagnosis.smallest_sizes import smallest_sizes
 from equimus_ctrl.diagnosis.stages import decided_above_noise, settled, skipped
 from equimus_ctrl.diagnosis.state import State
 from equimus_ctrl.diagnosis.unexplained import not_on_test
@@ -46,6 +47,7 @@ def report(state: State) -> Diagnosis:
         state = state.decided("report", f"{finding.named} not named", finding.undetermined)
     residuals = _residuals(state, holdout)
     all_named = not (undetermined or unexplained) and settled(state)
+    strengths = strengths_beside(search, end, bool(skipped(state))) if all_named else ()
     inputs.progress("done", 1.0, end.best.label)
     return Diagnosis(
         verdict=verdict(named, bool(unexplained or undetermined), settled(state)),
@@ -65,7 +67,7 @@ def report(state: State) -> Diagnosis:
         unexplained=unexplained,
         rejected=_rejected(state),
         ranking=state.ranking or ranking(search, end),
-        detectable=detectable(search, end) if all_named else (),
+        detectable=smallest_sizes(data.free.model, strengths, search.threshold),
         excess_variance={name: float(excess_variances(residuals[name].train, sigma).mean()) for name in STATES},
         notes=(
             *notes(end, split, inputs.settings.exclude, [stage.decides for stage in skipped(state)]),
@@ -81,7 +83,7 @@ def report(state: State) -> Diagnosis:
         another_unit=state.another_unit,
         explanations=left_by(search, end, equivalent, undetermined),
         nearest=nearest_to(search, end, unexplained),
-        below=hidden(search, end) if all_named else (),
+        below=hidden(search, end, strengths) if all_named else (),
     )
 
 

@@ -127,7 +127,7 @@ class Search(HypothesisMoves):
         if domain is not None:
             pool = worth_simulating(self.data, domain, base, pool)
         begun = begun_at(base)
-        first = begun.tried.having_screened(base, screen(self.data, base, pool))
+        first = replace(begun.tried, first=tuple(screen(self.data, base, pool)))
         state = self.needed(replace(begun, best=start, tried=first))
         yield state
         # Several may be what one law is: exchanged one by one, each takes a round of fits.

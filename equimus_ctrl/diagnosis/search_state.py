@@ -67,8 +67,8 @@ class SearchHistory:
 
     Attributes:
         fitted: all hypotheses fitted, converged or not.
-        screened: by a hypothesis' labels what every candidate that was simulated would do beside it, when it was first
-            extended; of a robot with a torque domain not those that it ruled out.
+        first: what every candidate that was simulated would do to the refitted model, alone; of a robot with a torque
+            domain not those that it ruled out.
         rejected: laws that are not to be part of a hypothesis any more, in whatever groups of trials. With the same
             parameters at further places a law is another one: that it fails at one may be for what it lacks there.
         extended: by a hypothesis' labels, and that of a candidate to replace or "".
@@ -80,24 +80,13 @@ class SearchHistory:
     """
 
     fitted: tuple[Fitted, ...] = ()
-    screened: Mapping[frozenset[str], tuple[Screened, ...]] = field(default_factory=dict)
+    first: tuple[Screened, ...] = ()
     rejected: frozenset[Law] = frozenset()
     extended: Mapping[tuple[frozenset[str], str], Extended] = field(default_factory=dict)
     refits: Mapping[tuple[Fitted, tuple[Hashable, ...]], Fitted] = field(default_factory=dict)
     converged: Mapping[Fitted, Fitted] = field(default_factory=dict)
     united: Mapping[tuple[Fitted, frozenset[Law]], tuple[Fitted, ...]] = field(default_factory=dict)
     imitations: tuple[Fitted, ...] = ()
-
-    @property
-    def first(self) -> tuple[Screened, ...]:
-        """What every candidate that was simulated would do to the refitted model, alone."""
-        return self.screened.get(frozenset(), ())
-
-    def having_screened(self, fitted: Fitted, screened: Sequence[Screened]) -> SearchHistory:
-        """The same with what candidates would do beside a hypothesis, where that is not known yet."""
-        if fitted.labels in self.screened:
-            return self
-        return replace(self, screened={**self.screened, fitted.labels: tuple(screened)})
 
     def allows(self, candidates: Iterable[Candidate]) -> bool:
         """Whether none of some candidates says a law that was rejected."""

@@ -307,7 +307,7 @@ def _begun(search: Search, end: SearchState, fitted: Fitted, maker: Engine) -> S
     """A search that begins at a hypothesis fitted to segments without the error of MuJoCo's step."""
     raw = search.data.segments
     search, fitted = _taken_off(search, raw, fitted, maker, _Off.nothing(raw))
-    tried = SearchHistory(screened=end.tried.screened, rejected=end.tried.rejected)
+    tried = SearchHistory(first=end.tried.first, rejected=end.tried.rejected)
     base = search.refit(tried, fitted, ())[0] if fitted.hypothesis else fitted
     after = search.beginning(base, fitted) if fitted.hypothesis else SearchState(base, base, tried=tried)
     return Simulated(search, after, raw, maker, 1.0, 0.0, fitted.fit.model)

@@ -306,7 +306,7 @@ def state_change(rate: ca.SX, state: ca.SX, dt: ca.SX) -> ca.SX:
 
 NEARLY_NONE = 1e-6
 """A decay over a step below which its series is taken."""
-SLIDING = {"joint": 0.02, "actuator": 0.002}
+SLIDING = {"joint": 0.02, "coupling": 0.02, "actuator": 0.002}
 """Rate on which three quarters of dry friction are counted where it is smoothed [rad/s, m/s]."""
 
 

@@ -20,7 +20,6 @@ from threadpoolctl import threadpool_limits
 from equimus_ctrl.diagnosis.budget import Budget, BudgetSpent
 from equimus_ctrl.diagnosis.candidates import candidates
 from equimus_ctrl.diagnosis.diagnose import DiagnosisSettings, with_default_engine
-from equimus_ctrl.diagnosis.findings import smallest_sizes
 from equimus_ctrl.diagnosis.fitting import Data, Fitted
 from equimus_ctrl.diagnosis.holdout import Split
 from equimus_ctrl.diagnosis.hypothesis import Candidate
@@ -28,6 +27,7 @@ from equimus_ctrl.diagnosis.place_excitation import excitation_of
 from equimus_ctrl.diagnosis.results import Detectable
 from equimus_ctrl.diagnosis.scoring import Scoring
 from equimus_ctrl.diagnosis.screening import Screened, screen_strengths
+from equimus_ctrl.diagnosis.smallest_sizes import near_threshold, smallest_sizes
 from equimus_ctrl.effects.base import REGISTRY
 from equimus_ctrl.effects.excitation import Excitation
 from equimus_ctrl.engines.base import Engine
@@ -40,13 +40,6 @@ from equimus_ctrl.types import Array
 
 SHARE_OF_BUDGET = 0.6
 """Of what is left of the time so much is planned to be used: how long simulations take differs."""
-ROUNDS = 3
-"""So often sizes are looked at again at the smallest detectable ones that were found."""
-NEAR, FAR = 1.5, 10.0
-"""Factors of χ² from the threshold within which a size is not looked at again, and beyond which nothing is said of it:
-what a large change of parameters cancels does not show by the curvature that a small one leaves."""
-MOST_CHANGED = 30.0
-"""Factor by which a size changes from one round to the next at most."""
 FAIR = 4.0
 """Times the share of what is left of the budget that one effect may take: drives that are elastic take long."""
 LEAST_SEGMENTS, LEAST_ROWS = 2, 100
@@ -272,51 +265,18 @@ def _compares_with(shown: Excitation, unit: str) -> float:
 def _screened(
     data: Data, seen: Fitted, own: Sequence[Candidate], scoring: Scoring, share: float
 ) -> list[tuple[Detectable, Candidate, bool]]:
-    """The smallest sizes of candidates of one effect, and whether any guess changes as much, parameters as they are.
+    """The smallest sizes of candidates of one effect, and whether any guess changes as much, parameters as they are."""
 
-    Looked at again at these sizes, for a law need not be linear.
-    """
-    threshold = scoring.threshold(own[0].n_parameters)
-
-    def sizes(pool: Sequence[Candidate]) -> list[tuple[Detectable, Screened]]:
-        screened = [
+    def strengths(pool: Sequence[Candidate]) -> list[Screened]:
+        return [
             replace(s, strength=s.strength / share, whole=None if s.whole is None else s.whole / share)
             for s in screen_strengths(data, seen, pool)
         ]
-        return list(zip(smallest_sizes(data.free.model, screened, scoring.threshold), screened, strict=True))
 
-    candidate_of = {candidate.label: candidate for candidate in own}
-    found = {s.candidate.label: (d, s) for d, s in sizes(own)}
-    changes = {label: s.whole is not None and bool(np.any(s.whole >= threshold)) for label, (_, s) in found.items()}
-    for _ in range(ROUNDS):
-        again = [
-            replace(s.candidate, guesses=(_resized(s, threshold),))
-            for d, s in found.values()
-            if math.isfinite(d.size) and s.candidate.grows_from() and s.candidate.fades_to() and not _near(s, threshold)
-        ]
-        if not again:
-            break
-        found |= {s.candidate.label: (d, s) for d, s in sizes(again)}
+    found = strengths(own)
+    threshold = scoring.threshold
+    sizes = smallest_sizes(data.free.model, near_threshold(found, threshold, strengths), threshold)
     return [
-        (
-            d if not s.candidate.grows_from() or _near(s, threshold, FAR) else replace(d, size=math.inf),
-            candidate_of[label],
-            changes[label],
-        )
-        for label, (d, s) in found.items()
+        (size, s.candidate, s.whole is not None and bool(np.any(s.whole >= threshold(s.candidate.n_parameters))))
+        for size, s in zip(sizes, found, strict=True)
     ]
-
-
-def _near(screened: Screened, threshold: float, factor: float = NEAR) -> bool:
-    """Whether a guess is so strong that its size says how large the smallest detectable one is."""
-    return bool(np.any(np.abs(np.log(np.maximum(screened.strength, 1e-300) / threshold)) < math.log(factor)))
-
-
-def _resized(screened: Screened, threshold: float) -> dict[str, float]:
-    """The guess whose strength is nearest to the threshold, all that its influence is in proportion to made smaller."""
-    nearest = int(np.argmin(np.abs(np.log(np.maximum(screened.strength, 1e-300) / threshold))))
-    values = dict(screened.tried[nearest])
-    ends = screened.candidate.fades_to()
-    factor = math.sqrt(threshold / max(float(screened.strength[nearest]), 1e-300))
-    factor = float(np.clip(factor, 1 / MOST_CHANGED, MOST_CHANGED))
-    return {**values, **{name: end + factor * (values[name] - end) for name, end in ends.items()}}
