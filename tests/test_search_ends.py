@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from types import SimpleNamespace
@@ -25,13 +26,15 @@ from equimus_ctrl.diagnosis.alternatives import (
     without_parts,
 )
 from equimus_ctrl.diagnosis.budget import BudgetSpent
-from equimus_ctrl.diagnosis.findings import _alone, smallest_size
+from equimus_ctrl.diagnosis.findings import _alone
 from equimus_ctrl.diagnosis.fitting import Data, Fitted
 from equimus_ctrl.diagnosis.hypothesis import Candidate, Part, beside
 from equimus_ctrl.diagnosis.hypothesis_moves import HypothesisMoves
 from equimus_ctrl.diagnosis.policy import SearchSettings
+from equimus_ctrl.diagnosis.screening import Screened, ScreenedGains
 from equimus_ctrl.diagnosis.search import Search
 from equimus_ctrl.diagnosis.search_state import RivalDeviance, SearchHistory, SearchState, StopReason, no_rival
+from equimus_ctrl.diagnosis.smallest_sizes import near_threshold, smallest_size, smallest_sizes
 from equimus_ctrl.diagnosis.thresholds import Thresholds
 from equimus_ctrl.effects import REGISTRY
 from equimus_ctrl.errors import SimulationDiverged
@@ -476,6 +479,26 @@ def test_the_smallest_that_would_show_is_where_the_gain_reaches_the_threshold(th
         candidate=POOL[RUB], tried=[{"friction": size} for size in sizes], strength=(slope * sizes) ** 2
     )
     assert smallest_size(screened, threshold) == pytest.approx(np.sqrt(threshold) / slope)
+
+
+def test_a_size_is_looked_at_again_until_it_is_near_the_threshold() -> None:
+    """A law that does nothing up to 0.02, and one that the parameters do as well, whatever its size."""
+
+    def strengths(pool: Any, law: Any) -> list[Any]:
+        tried = [c.guesses for c in pool]
+        sizes = [np.array([guess["friction"] for guess in own]) for own in tried]
+        several = zip(pool, tried, sizes, strict=True)
+        return [Screened(c, (), np.empty(0), ScreenedGains(0.0, 0.0), own, law(size)) for c, own, size in several]
+
+    rub = replace(POOL[RUB], guesses=({"friction": 0.3},))
+    for law, wanted in (
+        (lambda size: (120.0 * np.maximum(size - 0.02, 0.0)) ** 2, 0.02 + np.sqrt(18.7) / 120),
+        (lambda size: 1e-9 * size**2, math.inf),
+    ):
+        found = near_threshold(strengths([rub], law), lambda count: 18.7, lambda pool, law=law: strengths(pool, law))  # type: ignore[misc]
+        assert [own.candidate for own in found] == [rub]
+        (smallest,) = smallest_sizes(nominal_model(), found, lambda count: 18.7)
+        assert smallest.size == pytest.approx(wanted, rel=0.2)
 
 
 def test_of_what_grows_from_nowhere_the_weakest_guess_that_shows_is_told() -> None:

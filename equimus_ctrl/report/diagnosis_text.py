@@ -441,7 +441,8 @@ def print_diagnosis(console: Console, diagnosis: Diagnosis, command_line: str = 
     listing("Unexplained residuals", remains(diagnosis))
     listing("Rejected effects, with the reason (and the stage)", rejected(diagnosis))
     listing("Not distinguishable from these recordings", not_distinguishable(diagnosis))
-    sizes = [f"{who}: {values}" for who, values in detectables(diagnosis)]
+    # Beside what was found they are for the page and the record: there are many.
+    sizes = [] if diagnosis.findings else [f"{who}: {values}" for who, values in detectables(diagnosis)]
     more = [f"and {len(sizes) - MOST_DETECTABLE} more"] if len(sizes) > MOST_DETECTABLE else []
     listing("Smallest detectable sizes", [*sizes[:MOST_DETECTABLE], *more])
     if experiment := deciding(diagnosis, command_line):
