@@ -345,7 +345,7 @@ _ROWS: Mapping[str, tuple[Row, ...]] = {
         ("MOST_NEAREST", 3, "told", "convention", "of those that come nearest to what has no name"),
     ),
     "diagnosis.smallest_sizes": (
-        ("ROUNDS", 3, "looked at", "convention", "how often sizes are looked at again"),
+        ("ROUNDS", 4, "looked at", "convention", "how often sizes are looked at again"),
         ("NEAR", 1.5, "told", "convention", "factor of χ² from the threshold within which a size is told"),
         ("FAR", 10.0, "told", "convention", "and beyond which nothing is said of it"),
         ("MOST_CHANGED", 30.0, "looked at", "convention", "factor by which a size changes from one round to the next"),
