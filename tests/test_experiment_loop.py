@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from rival_legs import of_a_pendulum, rivals_of, with_other
 
-from equimus_ctrl.diagnosis.holdout import Holdout
+from equimus_ctrl.diagnosis.holdout import Holdout, choose_holdout
 from equimus_ctrl.diagnosis.results import Diagnosis
 from equimus_ctrl.diagnosis.rivals import NOTHING, refitted_to, rival_of
 from equimus_ctrl.experiments.loop import (
@@ -140,7 +140,10 @@ def test_reasons_name_the_pair_that_is_surest() -> None:
 
 def test_designed_trials_are_fitted_all_of_them() -> None:
     assert held_out(["poor"]) == Holdout(ends=frozenset({0}))
-    assert held_out(["poor_0", "poor_1"]) == Holdout(validation=frozenset({1}))
+    assert held_out(["poor_0", "poor_1"], designed=0) == Holdout(validation=frozenset({1}))
+    assert held_out(["poor_0", "poor_1", "poor_2"]) == Holdout(validation=frozenset({2}), other=frozenset({1}))
+    many = [f"poor_{k}" for k in range(8)]
+    assert held_out(many) == held_out(many, designed=0) == choose_holdout(many)
     assert held_out(["poor_0"], ["poor_*"]) is None
 
 

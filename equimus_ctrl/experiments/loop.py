@@ -223,14 +223,23 @@ def realised(
     return tuple(found)
 
 
-def held_out(given: Sequence[str], patterns: Sequence[str] = ()) -> Holdout | None:
+def held_out(given: Sequence[str], patterns: Sequence[str] = (), designed: int = 1) -> Holdout | None:
     """What is held out of recordings from before and designed trials, which come after them.
+
+    Beside designed trials, of two or three recordings from before the last but one is held out in the place of the last
+    where that shows what the others do not: without them it would be too much of what there is.
 
     Args:
         given: names of the recordings from before, or of the first trial where there were none.
         patterns: of names of trials that somebody wants held out; then it is for them alone to say.
+        designed: how many designed trials there are.
     """
-    return None if patterns else choose_holdout(given)
+    if patterns:
+        return None
+    found = choose_holdout(given)
+    if designed and found.validation and not found.other:
+        return replace(found, other=frozenset({len(given) - 2}))
+    return found
 
 
 def worth_making(predicted: Sequence[Predicted], left: int) -> bool:

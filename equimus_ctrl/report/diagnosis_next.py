@@ -103,7 +103,7 @@ def deciding(diagnosis: Diagnosis, command_line: str = "") -> tuple[str, str] | 
         (bool(diagnosis.nearest), "explanations that come near to what has no name"),
     ]
     does = [f"decides between {text}" for text in [listed([text for there, text in what if there])] if text]
-    does += ["shows effects that these recordings would just not have shown"] if diagnosis.below else []
+    does += ["shows effects that are too small for these recordings"] if diagnosis.below else []
     if not does:
         return None
     given = shlex.split(command_line)

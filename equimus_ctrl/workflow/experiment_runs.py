@@ -213,10 +213,9 @@ class _Bench:
         def progress(stage: str, share: float, best: str) -> None:
             self.progress(f"step {number}: {stage}", share, best)
 
-        found = diagnose(
-            [*self.given, *self.made], self.model, options, heldout=held_out(self.names, options.validation),
-            progress=progress,
-        )  # fmt: skip
+        trials = [*self.given, *self.made]
+        heldout = held_out(self.names, options.validation, designed=len(trials) - len(self.names))
+        found = diagnose(trials, self.model, options, heldout=heldout, progress=progress)
         progress("belief", 0.0, "")
         now = found.rivals
         gone = no_longer_left(before, found, now)
