@@ -135,6 +135,10 @@ def test_reasons_name_the_pair_that_is_surest() -> None:
     assert said.startswith("it distinguishes a from b by an expected gap of 50 (30 to 80)") and "chance of 90 %" in said
     assert "2 such trials" in said and "of 2 other pairs 1 more likely than not" in said
     assert "60 of them would be needed" in why_not([predicted(chance=0.01, repeats=60.0)])
+    back = replace(predicted(chance=0.2, repeats=math.inf), true="b", other="a")  # the harder way round counts
+    assert why_not([predicted(chance=1.0), back]).endswith(
+        "b from a with a chance of 20 %, and no number of them would do"
+    )
     assert Predicted.from_dict(json.loads(json.dumps(predicted(repeats=math.inf).to_dict()))).repeats == math.inf
 
 

@@ -281,7 +281,15 @@ def why_not(predicted: Sequence[Predicted]) -> str:
     told = "within the limits and the budget nothing more can be distinguished"
     if not predicted:
         return told
-    best = min(predicted, key=lambda own: (own.repeats, -own.chance, -own.gap))
+
+    def hardness(own: Predicted) -> tuple[float, float, float]:
+        return own.repeats, -own.chance, -own.gap
+
+    # Of each pair the way round that is harder: a trial that settles it were the other true does not settle it.
+    harder: dict[frozenset[str], Predicted] = {}
+    for own in sorted(predicted, key=hardness):
+        harder[frozenset({own.true, own.other})] = own
+    best = min(harder.values(), key=hardness)
     often = f"{best.repeats:g} of them would be needed" if math.isfinite(best.repeats) else "no number of them would do"
     return (
         f"{told}: the best trial that was found distinguishes {best.true} from {best.other} with a chance of "
