@@ -255,7 +255,7 @@ class Diagnosis(Short):
         rejected: effects that were part of a hypothesis until held-out trials, a residual force or the engine's step
             spoke against them; none that is found, undetermined or not distinguishable all the same.
         ranking: all candidates, alone, best first.
-        detectable: smallest detectable sizes of effects beside what was found, where nothing is left without a name.
+        detectable: smallest detectable sizes of effects beside what was found, where nothing is left unexplained.
         excess_variance: for each state of STATES the excess residual variance on the trials fitted: mean squared
             residual over the noise's variance, minus 1.
         notes: warnings, as sentences.
@@ -268,7 +268,7 @@ class Diagnosis(Short):
         splits: what other splits of the trials say; None where nobody asked.
         explanations: that these recordings leave beside ``best``, see ``explanations.left_by``.
         nearest: what comes nearest to what has no name, see ``explanations.nearest_to``.
-        below: what may hide beside ``best``, see ``explanations.hidden``; where nothing is left without a name.
+        below: what may hide beside ``best``, see ``explanations.hidden``; where nothing is left unexplained.
     """
 
     verdict: Verdict
