@@ -1,7 +1,8 @@
 """Do designed experiments resolve what recordings did not with fewer trials than others that somebody could make?
 
     python benchmarks/experiments.py --cases 60 [--robot leg] [--arms designed chirps multisines d_optimal]
-    python benchmarks/experiments.py --cases 40 --robot docs/examples/pendulum.xml --limit motor.low=-2 …
+    python benchmarks/experiments.py --cases 30 --robot docs/examples/pendulum.xml --limit motor.low=-2 …
+    python benchmarks/experiments.py --cases 10 --robot benchmarks/two_joint_arm.xml
 
 The first arm is ``equimus-ctrl prove --experiments``: blinded ground truths, two short and poor trials of each, then
 designed trials one by one. Three arms more get the same cases, the same first diagnoses and as many trials: chirps as
