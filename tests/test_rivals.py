@@ -14,7 +14,7 @@ from poor_legs import hidden
 from rival_legs import of_a_pendulum, read_back, rivals_of, with_other
 
 from equimus_ctrl.diagnosis.diagnose import DiagnosisSettings, diagnose
-from equimus_ctrl.diagnosis.explanations import just_below, richer
+from equimus_ctrl.diagnosis.explanations import just_below, with_richer_laws
 from equimus_ctrl.diagnosis.holdout import split
 from equimus_ctrl.diagnosis.hypothesis import Candidate, Hypothesis, Part, default_free_parameters
 from equimus_ctrl.diagnosis.results import Diagnosis, Named
@@ -179,7 +179,7 @@ def test_a_richer_law_may_hide_behind_the_plain_one_with_what_that_lacks_given()
     both_ways = {"forward": 0.1, "backward": 0.2}  # at some sizes it is the plain law
     asymmetric = Candidate(REGISTRY["asymmetric_friction"], ("knee",), (both_ways,))
     search, best = SimpleNamespace(pool=[asymmetric, stribeck, elsewhere]), SimpleNamespace(hypothesis=(plain,))
-    found = list(richer(search, best))  # type: ignore[arg-type]
+    found = list(with_richer_laws(search, best))  # type: ignore[arg-type]
     assert [own.candidate.given for (own,) in found] == [
         {"breakaway": size, "velocity": 0.2}
         for size in (0.1, 0.02)  # the strongest first

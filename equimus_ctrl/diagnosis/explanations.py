@@ -11,7 +11,7 @@ from equimus_ctrl.diagnosis.fitting import Fitted
 from equimus_ctrl.diagnosis.hypothesis import Candidate, Hypothesis, Part
 from equimus_ctrl.diagnosis.residuals import ResidualForce, Unexplained
 from equimus_ctrl.diagnosis.results import Equivalent, Finding
-from equimus_ctrl.diagnosis.richer_laws import holds
+from equimus_ctrl.diagnosis.richer_laws import as_its_own, holds
 from equimus_ctrl.diagnosis.screening import Screened, screen_strengths
 from equimus_ctrl.diagnosis.search import Search
 from equimus_ctrl.diagnosis.search_state import SearchState
@@ -105,22 +105,26 @@ def hidden(search: Search, end: SearchState, strengths: Sequence[Screened]) -> t
     """
     best, level = end.best, search.equally_good(search.data.thresholds) / 2
     parts = just_below(search.data.free.model, strengths, level)
-    return (*richer(search, best), *((*best.hypothesis, part) for part in parts[:MOST_HIDDEN]))
+    return (*with_richer_laws(search, best), *((*best.hypothesis, part) for part in parts[:MOST_HIDDEN]))
 
 
-def richer(search: Search, best: Fitted) -> Iterator[Hypothesis]:
+def with_richer_laws(search: Search, best: Fitted) -> Iterator[Hypothesis]:
     """Richer laws in the place of a hypothesis' parts, with what the simpler law lacks given at each of its guesses."""
     for k, part in enumerate(best.hypothesis):
         rest = (*best.hypothesis[:k], *best.hypothesis[k + 1 :])
         for candidate in search.pool:
             if not holds(candidate, part.candidate):
                 continue
-            alike = candidate.effect.special_cases
-            own = {name: value for key, value in part.values.items() for name in alike.get(key, (key,))}
-            lacking = [p.key for p in candidate.parameters if p.key not in own]
-            given = [{key: guess[key] for key in lacking} for guess in reversed(candidate.guesses)]
-            for sizes in {tuple(sizes.values()): sizes for sizes in given if sizes}.values():
-                yield (*rest, Part(replace(candidate, guesses=(), given={**candidate.given, **sizes}), own))
+            own = as_its_own(candidate, part.candidate)
+            if own == {p.key for p in candidate.parameters}:  # it lacks nothing that could be given
+                continue
+            begun = candidate.effect.begun_at(part.values, candidate.guesses)
+            for values in {
+                tuple(v for key, v in one.items() if key not in own): one for one in reversed(begun)
+            }.values():
+                given = {**candidate.given, **{key: value for key, value in values.items() if key not in own}}
+                law = replace(candidate, guesses=(), given=given)
+                yield (*rest, Part(law, {p.name: values[p.name] for p in law.parameters}))
 
 
 def just_below(model: Model, screened: Sequence[Screened], level: float) -> tuple[Part, ...]:

@@ -36,6 +36,11 @@ def holds(rich: Candidate, simple: Candidate) -> bool:
     """Whether a law is another with further parameters, at the same place alone."""
     same = rich.effect.exclusive == simple.effect.exclusive is not None and rich.locations == simple.locations
     same = same and len(simple.locations) == 1
-    names, alike = {own.name for own in rich.parameters}, rich.effect.special_cases
-    as_its_own = {name for own in simple.parameters for name in alike.get(own.name, (own.name,))}
-    return same and as_its_own <= names and simple.n_parameters < rich.n_parameters
+    names = {own.name for own in rich.parameters}
+    return same and as_its_own(rich, simple) <= names and simple.n_parameters < rich.n_parameters
+
+
+def as_its_own(rich: Candidate, simple: Candidate) -> set[str]:
+    """What a simple law's parameters are called in a richer one."""
+    alike = rich.effect.special_cases
+    return {name for own in simple.parameters for name in alike.get(own.name, (own.name,))}

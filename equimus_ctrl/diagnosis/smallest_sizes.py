@@ -62,7 +62,7 @@ def smallest_size(screened: Screened, threshold: float) -> float:
     values = np.array([guess[key] for guess in screened.tried])
     strength = np.maximum(screened.strength, 1e-300)
     if nothing is not None:
-        nearest = int(np.argmin(np.abs(np.log(strength / threshold))))
+        nearest = int(np.argmin(_apart(strength, threshold)))
         return float(abs(values[nearest] - nothing) * math.sqrt(threshold / strength[nearest]))
     seen = strength >= threshold
     if not seen.any():
@@ -106,9 +106,7 @@ def is_near(screened: Screened, threshold: float, factor: float = NEAR) -> bool:
 
 def resized(screened: Screened, threshold: float) -> dict[str, float]:
     """The guess whose strength is nearest to the threshold, all that its influence is in proportion to made smaller."""
-    nearest = int(np.argmin(_apart(screened.strength, threshold)))
-    factor = math.sqrt(threshold / max(float(screened.strength[nearest]), 1e-300))
-    return _scaled(screened, screened.tried[nearest], float(np.clip(factor, 1 / MOST_CHANGED, MOST_CHANGED)))
+    return _LookedAt.of(screened, threshold).next
 
 
 def _scaled(screened: Screened, values: Mapping[str, float], factor: float) -> dict[str, float]:
@@ -141,8 +139,7 @@ class _LookedAt:
     def of(cls, screened: Screened, threshold: float) -> _LookedAt:
         """The guess whose strength is nearest to the threshold."""
         nearest = int(np.argmin(_apart(screened.strength, threshold)))
-        whole = None if screened.whole is None else screened.whole[[nearest]]
-        alone = replace(screened, tried=(screened.tried[nearest],), strength=screened.strength[[nearest]], whole=whole)
+        alone = replace(screened, tried=(screened.tried[nearest],), strength=screened.strength[[nearest]], whole=None)
         return cls(alone, threshold, (1.0,), (float(screened.strength[nearest]),))
 
     @property
@@ -176,4 +173,4 @@ class _LookedAt:
     def put_into(self, screened: Screened) -> Screened:
         """A candidate with these sizes of the guess as what was tried."""
         tried = tuple(_scaled(self.guess, self.guess.tried[0], factor) for factor in self.factors)
-        return replace(screened, tried=tried, strength=np.array(self.strengths))
+        return replace(screened, tried=tried, strength=np.array(self.strengths), whole=None)
