@@ -20,6 +20,8 @@ from equimus_ctrl.robots.reading import reading
 from equimus_ctrl.types import Recording
 
 WIDTH = 10.0
+HEIGHT, LINE = 4.6, 0.24
+"""Of the explanations' figure without its legend, and of a line of that [in]."""
 LINEAR = 10.0
 """Differences of ln L up to which the scale is linear, logarithmic beyond."""
 MARKERS = "osD^vP*hX<>"
@@ -44,9 +46,9 @@ def belief_figure(steps: Sequence[Believed], names: Sequence[str], margins: Sequ
         margins: up to which each diagnosis does not distinguish explanations.
         label: of the robot.
     """
-    figure = style.new_figure(WIDTH, 5.2, f"{label}: explanations after each trial")
-    axes = figure.subplots()
     labels = list(dict.fromkeys(e.label for own in steps for e in own.belief.explanations))
+    figure = style.new_figure(WIDTH, HEIGHT + LINE * len(labels), f"{label}: explanations after each trial")
+    axes = figure.subplots()
     found = [e.behind for own in steps for e in own.belief.explanations if math.isfinite(e.behind)]
     top, bottom = 2.0 * max([LINEAR, *found, *margins]), min([0.0, *found])
     places = np.arange(len(steps))
