@@ -83,7 +83,7 @@ class Arm:
             trials: that it is of.
         """
         model, source = self.request.model, self.request.source
-        robot, names, found = redrawn(self.request, truth), [trial.name for trial in trials], list[Outcome]()
+        robot, found = redrawn(self.request, truth), list[Outcome]()
         places, report, made = Places.of(model.robot), first, list(trials)
         last = outcome(Case(truth, first, {}, places))
         for k in range(1, self.count + 1):
@@ -96,7 +96,7 @@ class Arm:
                 made.append(further(source, robot, replace(design, name=f"added_{k:02d}"), k).recording)
             except (ConfigError, NothingFeasible, SimulationDiverged):  # it keeps its answer
                 break
-            report = json.loads(blind.answer_with(made, model, names, left, (), {}))
+            report = json.loads(blind.answer_with(made, model, len(trials), left, (), {}))
             last = outcome(Case(truth, report, {}, places))
             found.append(last)
         return [*found, *[last] * (self.count - len(found))]

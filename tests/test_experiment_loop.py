@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from rival_legs import of_a_pendulum, rivals_of, with_other
 
-from equimus_ctrl.diagnosis.holdout import Holdout, choose_holdout
+from equimus_ctrl.diagnosis.holdout import Holdout, choose_holdout, split
 from equimus_ctrl.diagnosis.results import Diagnosis
 from equimus_ctrl.diagnosis.rivals import NOTHING, refitted_to, rival_of
 from equimus_ctrl.experiments.loop import (
@@ -18,6 +18,7 @@ from equimus_ctrl.experiments.loop import (
     Predicted,
     Realised,
     belief_of,
+    fitted_share,
     held_out,
     label_of,
     no_longer_left,
@@ -30,6 +31,8 @@ from equimus_ctrl.experiments.power import Power, margin
 from equimus_ctrl.experiments.results import Pair
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.presets import plain
+from equimus_ctrl.robots.elastic.leg import nominal_leg
+from equimus_ctrl.types import Recording
 
 
 def predicted(chance: float = 0.9, repeats: float = 1.0, gap: float = 50.0, other: str = "b") -> Predicted:
@@ -142,13 +145,40 @@ def test_reasons_name_the_pair_that_is_surest() -> None:
     assert Predicted.from_dict(json.loads(json.dumps(predicted(repeats=math.inf).to_dict()))).repeats == math.inf
 
 
-def test_designed_trials_are_fitted_all_of_them() -> None:
-    assert held_out(["poor"]) == Holdout(ends=frozenset({0}))
-    assert held_out(["poor_0", "poor_1"], designed=0) == Holdout(validation=frozenset({1}))
-    assert held_out(["poor_0", "poor_1", "poor_2"]) == Holdout(validation=frozenset({2}), other=frozenset({1}))
-    many = [f"poor_{k}" for k in range(8)]
-    assert held_out(many) == held_out(many, designed=0) == choose_holdout(many)
-    assert held_out(["poor_0"], ["poor_*"]) is None
+def recorded(name: str, duration: float = 3.0) -> Recording:
+    """A trial of a leg, in which something moves."""
+    times, robot = np.arange(0.0, duration, 0.01), nominal_leg()
+    moves = np.sin(3.0 * times)[:, None] * [1.0, 0.5]
+    return Recording(name, times, 1e4 * (1.0 + moves), moves, robot.actuator_names, robot.joint_names)
+
+
+def test_of_designed_trials_the_end_is_held_out() -> None:
+    many = [recorded(f"poor_{k}") for k in range(8)]
+    usual = choose_holdout([own.name for own in many])
+    assert held_out(many, 0) == usual and held_out(many, 1) == replace(usual, ends=frozenset({8}))
+    few = many[:2]
+    assert held_out(few, 0) == Holdout(ends=frozenset({0, 1})) and held_out(few, 2) == Holdout(ends=frozenset(range(4)))
+    assert held_out(few, 1, ["poor_*"]) is None
+    short = [few[0], recorded("poor_1", 1.5)]  # of which the end is too short to judge by
+    assert held_out(short, 1) == Holdout(validation=frozenset({1}), ends=frozenset({2}))
+    assert fitted_share() == 0.75 and fitted_share(["poor_*"]) == 1
+
+
+@pytest.mark.parametrize("count", [1, 2, 3, 4, 8])
+def test_what_is_fitted_once_stays_fitted(count: int) -> None:
+    """So what a trial changes in the likelihoods is that trial's own."""
+    model = Model(nominal_leg())
+    given, made = [recorded(f"poor_{k}") for k in range(count)], [recorded(f"designed_{k}") for k in range(3)]
+
+    def fitted(several: list[Recording], designed: int) -> set[tuple[str, float]]:
+        parts = split(model, several, heldout=held_out(given, designed))
+        return {(several[s.recording].name, float(t)) for s in parts.train for t in s.trial.sample_times}
+
+    before = fitted(given, 0)
+    for k in range(3):
+        now = fitted([*given, *made[: k + 1]], k + 1)
+        assert before < now and {name for name, _ in now - before} == {made[k].name}
+        before = now
 
 
 def test_predictions_are_of_the_labels_of_rivals() -> None:

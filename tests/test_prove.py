@@ -110,8 +110,8 @@ class World:
         monkeypatch.setattr(workflow, "open_truth", lambda request, case: self.truths[case])
         monkeypatch.setattr(workflow, "recorded", lambda folder, model: folder)
         monkeypatch.setattr(OnThisComputer, "each_apart", lambda executor, *given: self.work(*given))
-        monkeypatch.setattr(blind, "report_fingerprint", lambda: self.version)
-        monkeypatch.setattr(blind, "baselines_fingerprint", lambda: self.version + "+")
+        monkeypatch.setattr(blind, "report_fingerprint", lambda further: self.version)
+        monkeypatch.setattr(blind, "baselines_fingerprint", lambda further: self.version + "+")
 
     def make(self, request: Request, cases: Any, executor: Any, notify: Any) -> list[Made]:
         made = [Made(case, f"{request.seed}{case}", 0.0) for case in cases]
@@ -121,7 +121,8 @@ class World:
 
     def work(self, work: Any, tasks: Any) -> Iterator[tuple[int, Any]]:
         assert work is blind.answer
-        for k, (folder, _, own, others, label) in enumerate(tasks):
+        for k, (folder, _, own, others, further, label) in enumerate(tasks):
+            assert not further
             self.tasks.append((folder, own, others, label))
             self.events.append(f"diagnosed {folder.name}")
             said = {**self.reports[int(folder.name[-1])]}

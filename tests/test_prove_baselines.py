@@ -66,7 +66,7 @@ def test_a_worker_writes_what_it_finds_and_what_it_took(
 
     monkeypatch.setattr(blind, "diagnose", fake)
     monkeypatch.setattr(blind, "baselines", others_say)
-    texts = blind.answer(read_set(tmp_path / "case_0003"), nominal_model(), True, True, "sealed")
+    texts = blind.answer(read_set(tmp_path / "case_0003"), nominal_model(), True, True, False, "sealed")
     assert seen == [(nominal_model(), ["trial_00", "trial_01"], 1)]
     assert given == ["fit" if same else None]  # a fit to other trials is of no use to them
     said, others = (json.loads(text or "") for text in texts)
@@ -101,7 +101,7 @@ def test_a_diagnosis_that_fails_is_an_answer_too(tmp_path: Path, monkeypatch: py
         raise SimulationDiverged("the model diverges")
 
     monkeypatch.setattr(blind, "diagnose", broken)
-    text, others = blind.answer(read_set(tmp_path / "case"), nominal_model(), True, False, "sealed")
+    text, others = blind.answer(read_set(tmp_path / "case"), nominal_model(), True, False, False, "sealed")
     assert others is None and json.loads(text or "")["proof"]["failed"] == "the model diverges"
 
 

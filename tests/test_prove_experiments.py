@@ -11,14 +11,17 @@ from typing import Any
 import numpy as np
 import pytest
 from proof_answers import LAG, RUB, SAID_LAG, SAID_RUB, effect, finding, left, report, truth
+from rival_legs import of_a_pendulum
 
 from equimus_ctrl.cli.main import main
+from equimus_ctrl.diagnosis.rivals import Rivals
 from equimus_ctrl.errors import ConfigError
 from equimus_ctrl.executors.local import OnThisComputer
 from equimus_ctrl.experiments.limits import Limits
+from equimus_ctrl.experiments.loop import fitted_share
 from equimus_ctrl.experiments.predicted import Commands
-from equimus_ctrl.models.model import Model
 from equimus_ctrl.options import ProveOptions, Shard
+from equimus_ctrl.presets import plain
 from equimus_ctrl.proof import blind, chirps, designing
 from equimus_ctrl.proof.answers import Case, Places
 from equimus_ctrl.proof.designing import Design, Designing, next_trial
@@ -265,11 +268,17 @@ def test_a_known_condition_is_one_of_the_true_robot() -> None:
 def test_a_trial_that_has_to_be_tracked_is_none_that_a_proof_makes(monkeypatch: pytest.MonkeyPatch) -> None:
     law = FeedbackLaw(np.ones((2, 2)), np.ones((2, 2)), 0.01)
     tracked = Commands(np.zeros(1), np.zeros((1, 2)), 1.0, None, {}, np.zeros((1, 2)), law)
-    two = SimpleNamespace(rivals=[0, 1], named=[0, 1], rate=100.0, notes={}, simulator=lambda threads: None)
-    monkeypatch.setattr(designing.Rivals, "from_dict", lambda left, model: two)
-    monkeypatch.setattr(designing, "designed", lambda *_, **__: SimpleNamespace(commands=tracked))
-    model = Model(nominal_leg())
-    own = Design.from_dict(json.loads(next_trial({}, model, Designing(Limits.of(model.robot)), 0, 1, {})))
+    given: list[Rivals] = []
+
+    def designed(rivals: Rivals, *_: Any, **__: Any) -> Any:
+        given.append(rivals)
+        return SimpleNamespace(commands=tracked)
+
+    monkeypatch.setattr(designing, "designed", designed)
+    two = of_a_pendulum()
+    left, how = json.loads(json.dumps(plain(two.to_dict()))), Designing(Limits.of(two.model.robot))
+    own = Design.from_dict(json.loads(next_trial(left, two.model, how, 0, 1, {})))
+    assert [rivals.fitted for rivals in given] == [fitted_share()]
     assert own.end == "none" and own.commands is None and "proofs make no tracked trials" in own.said
 
 
@@ -317,7 +326,7 @@ class World:
         monkeypatch.setattr(proof_experiments.Further, "_truth", lambda further, case: self.truths[case])
         monkeypatch.setattr(OnThisComputer, "each_apart", lambda executor, *given: self.apart(*given))
         monkeypatch.setattr(OnThisComputer, "each", lambda executor, *given: self.drive(*given))
-        monkeypatch.setattr(blind, "report_fingerprint", lambda: "reports")
+        monkeypatch.setattr(blind, "report_fingerprint", lambda further: "reports" if further else "alone")
         monkeypatch.setattr(blind, "further_fingerprint", lambda: self.version)
 
     def make(self, request: Request, cases: Any, executor: Any, notify: Any) -> list[Made]:
@@ -341,9 +350,9 @@ class World:
                 yield k, json.dumps(self.design(case, number, {**made, "fingerprint": designing.fingerprint}))
             else:
                 assert work is blind.answer_with
-                recordings, _, names, before, predicted, made = task
+                recordings, _, first, before, predicted, made = task
                 self.done.append(f"diagnosed {[own.parent.parent.name for own in recordings]}")
-                assert names == ["case_0001"] and before["explanations"] and predicted[0]["true"] == "lag"
+                assert first == 1 and before["explanations"] and predicted[0]["true"] == "lag"
                 said = {**report(SAID_LAG), **leaves(OF_LAG), "realised": [pair(100.0, 130.0)]}
                 proof = {**said["proof"], **made, "fingerprint": self.version}
                 yield k, json.dumps({**said, "proof": proof})

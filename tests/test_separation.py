@@ -115,6 +115,17 @@ def test_several_trials_at_once_are_each_by_itself(diagnosis: Diagnosis) -> None
     assert len({round(own.gap(0, 1), 6) for own in together}) == 3
 
 
+def test_only_what_will_be_fitted_of_a_trial_counts(diagnosis: Diagnosis) -> None:
+    """Of its end, which is held out, nothing does, whatever is commanded there."""
+    rivals = replace(rivals_of(diagnosis), fitted=0.75)
+    levels = np.array([[12e3, 6e3], [2e4, 2e3], [8e3, 9e3]])
+    at_first, at_last = (Commands(np.array([0.0, 1.0, at]), levels, 4.0) for at in (2.0, 3.2))
+    two, same = (replace(own, commands=levels[[0, 1, 1]]) for own in (at_first, at_last))
+    early, late, none, _ = separations(rivals, [at_first, at_last, two, same])
+    assert late.n == none.n == pytest.approx(0.75 * separations(rivals_of(diagnosis), [two])[0].n, abs=4)
+    assert np.array_equal(late.gram, none.gram) and not np.array_equal(early.gram, none.gram)
+
+
 def test_a_rival_is_at_no_distance_from_itself(diagnosis: Diagnosis) -> None:
     rivals = rivals_of(diagnosis)
     same = replace(rivals, rivals=(rivals.rivals[0], rivals.rivals[0], rivals.rivals[1]))

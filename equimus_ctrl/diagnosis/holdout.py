@@ -424,6 +424,19 @@ def _parted(
     return Split(tuple(chosen), tuple(validation), tuple(test), tuple(short_segments), len(train))
 
 
+def end_of(r: Recording, share: float = LAST, span: tuple[float, float] | None = None) -> float | None:
+    """From when on the end of a trial is, such as is held out [s]; None where that is too short to judge by.
+
+    Args:
+        r: the trial.
+        share: of it that is its end.
+        span: (from, to) of it that counts [s]; all by default.
+    """
+    low, high = _span(r, span)
+    edge = high - share * (high - low)
+    return edge if _samples(r, edge, high) >= LEAST_SAMPLES else None
+
+
 def _edges(r: Recording, k: int, span: tuple[float, float], heldout: Holdout, until: float | None) -> tuple[float, ...]:
     """Until when a trial is fitted, and when what of it is held out ends: the validation set's, the test set's [s].
 
@@ -436,7 +449,8 @@ def _edges(r: Recording, k: int, span: tuple[float, float], heldout: Holdout, un
     edge, middle = (high - share * (high - low) for share in (heldout.share, LAST / 2))
     if k in heldout.last and min(_samples(r, edge, middle), _samples(r, middle, high)) >= LEAST_SAMPLES:
         return edge, middle, high
-    return (edge, high) if _samples(r, edge, high) >= LEAST_SAMPLES else (high, high)
+    begun = end_of(r, heldout.share, span)
+    return high if begun is None else begun, high
 
 
 def _samples(r: Recording, begin: float, end: float) -> int:

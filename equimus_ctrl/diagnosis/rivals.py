@@ -265,6 +265,7 @@ class Rivals(Short):
         step: physics step [s]; None for the engine's own choice.
         unexplained: what has no name.
         verdict: of the diagnosis.
+        fitted: share of a further trial that will be fitted: its end may be held out.
     """
 
     model: Model
@@ -283,6 +284,7 @@ class Rivals(Short):
     step: float | None
     unexplained: tuple[Missing, ...]
     verdict: str
+    fitted: float = 1.0
 
     def told(self) -> str:
         """How they are called."""

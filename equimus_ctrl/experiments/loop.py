@@ -4,8 +4,8 @@ A diagnosis of all trials so far leaves explanations (``rivals``). A trial that 
 and all trials are diagnosed again. What a diagnosis no longer leaves is fitted to the same trials once more: that shows
 by how much the trial spoke against it, and whether that is what was predicted.
 
-Designed trials are fitted, all of them: the search decides between explanations by what is fitted. Held out are those
-of the recordings from before that a diagnosis of these alone would hold out.
+Designed trials are fitted but for their ends, which are held out: the search decides between explanations by what is
+fitted, and what a trial was designed to show is confirmed by trials that show it.
 """
 
 from __future__ import annotations
@@ -15,13 +15,14 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Any, Literal
 
-from equimus_ctrl.diagnosis.holdout import Holdout, choose_holdout
+from equimus_ctrl.diagnosis.holdout import EVERY, LAST, Holdout, choose_holdout, end_of
 from equimus_ctrl.diagnosis.results import Diagnosis
 from equimus_ctrl.diagnosis.rivals import Rival, Rivals, refitted_to
 from equimus_ctrl.errors import SimulationDiverged
 from equimus_ctrl.experiments.power import LIKELY, margin
 from equimus_ctrl.experiments.results import Pair
 from equimus_ctrl.shown import counted
+from equimus_ctrl.types import Recording
 
 End = Literal["resolved", "inseparable", "trials", "seconds"]
 """Why there is no further trial: one explanation is left, nothing more can be distinguished within the limits, or the
@@ -223,23 +224,35 @@ def realised(
     return tuple(found)
 
 
-def held_out(given: Sequence[str], patterns: Sequence[str] = (), designed: int = 1) -> Holdout | None:
+def held_out(given: Sequence[Recording], designed: int, patterns: Sequence[str] = ()) -> Holdout | None:
     """What is held out of recordings from before and designed trials, which come after them.
 
-    Beside designed trials, of two or three recordings from before the last but one is held out in the place of the last
-    where that shows what the others do not: without them it would be too much of what there is.
+    Of each designed trial it is the end: recordings from before hardly show what it was designed to show, so they can
+    neither confirm nor reject it. Of so few of these that one is too much of what there is to hold it out whole, it is
+    the ends too, unless one is too short for that, and from the first diagnosis on: what is fitted once stays fitted,
+    so a trial alone moves the likelihoods.
 
     Args:
-        given: names of the recordings from before, or of the first trial where there were none.
-        patterns: of names of trials that somebody wants held out; then it is for them alone to say.
+        given: the recordings from before, or the first trial where there were none.
         designed: how many designed trials there are.
+        patterns: of names of trials that somebody wants held out; then it is for them alone to say.
     """
     if patterns:
         return None
-    found = choose_holdout(given)
-    if designed and found.validation and not found.other:
-        return replace(found, other=frozenset({len(given) - 2}))
-    return found
+    ends = frozenset(range(len(given), len(given) + designed))
+    if len(given) < EVERY and all(end_of(own) is not None for own in given):
+        return Holdout(ends=ends | frozenset(range(len(given))))
+    found = choose_holdout([own.name for own in given])
+    return replace(found, ends=found.ends | ends)
+
+
+def fitted_share(patterns: Sequence[str] = ()) -> float:
+    """How much of a designed trial is fitted, see ``held_out``.
+
+    Args:
+        patterns: as there.
+    """
+    return 1.0 if patterns else 1.0 - LAST
 
 
 def worth_making(predicted: Sequence[Predicted], left: int) -> bool:

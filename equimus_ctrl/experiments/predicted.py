@@ -14,6 +14,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from equimus_ctrl.diagnosis.holdout import end_of
 from equimus_ctrl.diagnosis.rivals import Rivals
 from equimus_ctrl.engines.choice import MujocoEngine, simulation_of
 from equimus_ctrl.engines.predict import in_its_condition, robot_as_noted
@@ -107,7 +108,7 @@ def _along(times: Array, knots: Array, values: Array) -> Array:
 def predicted_trials(
     rivals: Rivals, truth: Model, commands: Sequence[Commands], simulator: Simulator
 ) -> list[list[Segment]]:
-    """Trials as they would be recorded without noise, cut as a diagnosis cuts them.
+    """Trials as they would be recorded without noise, cut as a diagnosis cuts them, as far as they are fitted.
 
     Args:
         rivals: whose recordings' rate, notes and shooting intervals they have.
@@ -119,10 +120,18 @@ def predicted_trials(
         ConfigError: where the robot does not come to rest under the first command.
         SimulationDiverged: where the simulation does.
     """
-    recordings = predicted_recordings(rivals, truth, commands, simulator)
     # Without noise, starts would seem to be as sure as parabolas are: those of the rivals' recordings tell.
-    segments = cut(rivals.model, recordings, shoot=rivals.interval, fit_start=True, trust=rivals.trust)
-    return [[s for s in segments if s.recording == k] for k in range(len(recordings))]
+    return [
+        cut(rivals.model, [own], window=(float(own.time[0]), _fitted_until(own, rivals.fitted)), shoot=rivals.interval,
+            fit_start=True, trust=rivals.trust)
+        for own in predicted_recordings(rivals, truth, commands, simulator)
+    ]  # fmt: skip
+
+
+def _fitted_until(recording: Recording, share: float) -> float:
+    """Until when a recording is fitted [s]: to its end, where what would be held out of that is too short."""
+    edge = end_of(recording, 1.0 - share)
+    return float(recording.time[-1]) if edge is None else edge
 
 
 def predicted_recordings(

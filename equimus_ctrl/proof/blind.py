@@ -30,9 +30,13 @@ from equimus_ctrl.types import Recording
 SETTINGS = DiagnosisSettings(threads=1)
 
 
-def report_fingerprint() -> str:
-    """Of a report."""
-    return fingerprint(repr(SETTINGS))
+def report_fingerprint(further: bool = False) -> str:
+    """Of a report.
+
+    Args:
+        further: whether designed trials may follow, see ``answer``.
+    """
+    return fingerprint(_settings(further))
 
 
 def further_fingerprint() -> str:
@@ -40,13 +44,21 @@ def further_fingerprint() -> str:
     return fingerprint(repr(SETTINGS), (*PARTS, "experiments"))
 
 
-def baselines_fingerprint() -> str:
-    """Of the baselines' answers."""
-    return fingerprint(repr(SETTINGS), (*PARTS, *BASELINES))
+def baselines_fingerprint(further: bool = False) -> str:
+    """Of the baselines' answers.
+
+    Args:
+        further: the same.
+    """
+    return fingerprint(_settings(further), (*PARTS, *BASELINES))
+
+
+def _settings(further: bool) -> str:
+    return repr((SETTINGS, "experiments.loop.held_out")) if further else repr(SETTINGS)
 
 
 def answer(
-    recordings: Sequence[Recording], model: Model, report: bool, others: bool, label: str
+    recordings: Sequence[Recording], model: Model, report: bool, others: bool, further: bool, label: str
 ) -> tuple[str | None, str | None]:
     """What is found in recordings, as two files hold it.
 
@@ -55,6 +67,7 @@ def answer(
         model: what the robot is taken to be.
         report: whether the diagnosis is wanted.
         others: whether the baselines' answers are.
+        further: whether designed trials may follow: then is held out what is beside these, see ``loop.held_out``.
         label: written into both.
 
     Returns:
@@ -63,15 +76,16 @@ def answer(
     begun = time.perf_counter()
     keep_freed_memory()
     free = default_free_parameters(model)
-    data = split(free.model, recordings)
+    heldout = held_out(recordings, 0) if further else None
+    data = split(free.model, recordings, heldout=heldout)
     found: Diagnosis | None = None
     texts: list[str | None] = [None, None]
     if report:
-        made = {"fingerprint": report_fingerprint(), "seal": label}
+        made = {"fingerprint": report_fingerprint(further), "seal": label}
         said, found = _diagnosed(free, data)
         texts[0] = as_text({**said, "proof": {**said["proof"], **made}})
     if others:
-        made = {"fingerprint": baselines_fingerprint(), "seal": label}
+        made = {"fingerprint": baselines_fingerprint(further), "seal": label}
         with threadpool_limits(limits=1, user_api="blas"):
             simulator = reduced_simulator(threads=1)
             own = Data(free, data.train, simulator)
@@ -84,7 +98,7 @@ def answer(
 def answer_with(
     recordings: Sequence[Recording],
     model: Model,
-    first: Sequence[str],
+    first: int,
     before: Mapping[str, Any],
     predicted: Sequence[Mapping[str, Any]],
     made: Mapping[str, Any],
@@ -94,14 +108,15 @@ def answer_with(
     Args:
         recordings: of one robot, the designed trials last.
         model: what the robot is taken to be.
-        first: names of the trials that nobody designed: held out is what would be held out of them alone.
+        first: how many nobody designed, see ``loop.held_out``.
         before: the rivals for which the last trial was designed, see ``Rivals.to_dict``.
         predicted: of it, see ``experiments.loop.Predicted``.
         made: written down too: what the answer is of.
     """
     keep_freed_memory()
     free = default_free_parameters(model)
-    said, found = _diagnosed(free, split(free.model, recordings, heldout=held_out(first)))
+    heldout = held_out(recordings[:first], len(recordings) - first)
+    said, found = _diagnosed(free, split(free.model, recordings, heldout=heldout))
     became: list[Any] = []
     if found is not None:
         was, now = Rivals.from_dict(before, model), found.rivals

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from typing import Any, Literal
 
 import numpy as np
@@ -15,7 +15,7 @@ from equimus_ctrl.errors import EquimusError, NotAvailable, one_line
 from equimus_ctrl.experiments.conditions import KnownCondition
 from equimus_ctrl.experiments.design import LIMIT_DRAWS, designed
 from equimus_ctrl.experiments.limits import Limits
-from equimus_ctrl.experiments.loop import Predicted, worth_making
+from equimus_ctrl.experiments.loop import Predicted, fitted_share, worth_making
 from equimus_ctrl.experiments.predicted import Commands
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.proof.blind import as_text
@@ -135,8 +135,8 @@ def next_trial(
         seed = int(np.random.SeedSequence([case, number]).generate_state(1)[0]) % SEEDS
         try:
             own = designed(
-                rivals, designing.limits, seed=seed, evaluations=designing.evaluations, draws=designing.draws,
-                conditions=designing.conditions, simulator=rivals.simulator(1),
+                replace(rivals, fitted=fitted_share()), designing.limits, seed=seed, evaluations=designing.evaluations,
+                draws=designing.draws, conditions=designing.conditions, simulator=rivals.simulator(1),
             )  # fmt: skip
             if own.commands.law is not None:
                 raise NotAvailable(f"{model.robot.name} rests under no constant command; proofs make no tracked trials")

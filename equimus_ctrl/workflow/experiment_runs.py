@@ -37,6 +37,7 @@ from equimus_ctrl.experiments.loop import (
     End,
     Predicted,
     belief_of,
+    fitted_share,
     held_out,
     no_longer_left,
     realised,
@@ -114,11 +115,6 @@ class _Bench:
     say: Say
     made: list[Recording] = field(default_factory=list)
 
-    @property
-    def names(self) -> list[str]:
-        """Of what is diagnosed as it was before, or of the first trial."""
-        return [trial.name for trial in self.given] or [FIRST]
-
     def place(self, number: int) -> Path:
         """The folder of a step."""
         return self.folder / f"step_{number:02d}"
@@ -141,7 +137,9 @@ class _Bench:
             trial, reason, linear = FIRST, "nothing was recorded before: it moves everything", False
             pairs: tuple[Predicted, ...] = ()
         else:
-            found = design_experiment(before, options=replace(self.options, seed=seed), progress=progress)
+            options = replace(self.options, seed=seed)
+            left = replace(before, fitted=fitted_share(options.validation))
+            found = design_experiment(left, options=options, progress=progress)
             commands, linear = found.commands, before.linear
             pairs = Predicted.of(before, found.pairs)
             record = found.to_dict()
@@ -214,7 +212,8 @@ class _Bench:
             self.progress(f"step {number}: {stage}", share, best)
 
         trials = [*self.given, *self.made]
-        heldout = held_out(self.names, options.validation, designed=len(trials) - len(self.names))
+        from_before = trials[: max(len(self.given), 1)]
+        heldout = held_out(from_before, len(trials) - len(from_before), options.validation)
         found = diagnose(trials, self.model, options, heldout=heldout, progress=progress)
         progress("belief", 0.0, "")
         now = found.rivals

@@ -243,11 +243,11 @@ class Further:
 
         def given() -> tuple[Any, ...]:
             trials = list(recorded(request.recordings(case), request.model))
-            names = [trial.name for trial in trials]
+            first = len(trials)
             for k in range(1, number + 1):
                 trials += recorded(request.made(case, k), request.model)
             before, predicted = chain.reports[-1].data["rivals"], chain.designs[-1].data["predicted"]
-            return trials, request.model, names, before, predicted, made
+            return trials, request.model, first, before, predicted, made
 
         return request.report(case, number), blind.further_fingerprint(), of, given
 

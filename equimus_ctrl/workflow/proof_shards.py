@@ -44,7 +44,7 @@ def note_shard(request: Request, options: ProveOptions, baselines: bool, seal: s
         "baselines": baselines,
         "experiments": options.experiments,
         "seal": seal,
-        "fingerprint": blind.report_fingerprint(),
+        "fingerprint": blind.report_fingerprint(options.experiments > 0),
         "versions": versions(),
         "processor": processor(),
     }
@@ -79,7 +79,7 @@ def merge_shards(request: Request, options: ProveOptions, baselines: bool) -> No
                 raise ConfigError(
                     f"{folder}: shard {shard} has {made} designed trials of each case; expected --experiments {made}"
                 )
-            if record["fingerprint"] != blind.report_fingerprint():
+            if record["fingerprint"] != blind.report_fingerprint(made > 0):
                 raise ConfigError(
                     f"{folder}: shard {shard} was diagnosed by another version of the program; expected shards of the "
                     "version that merges them"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
@@ -180,7 +180,7 @@ def prove(
         notes = far_beyond(request, cases)
         for note in notes:
             say(note)
-        notes += _diagnose(request, seals, executor, baselines, progress, say)
+        notes += _diagnose(request, seals, executor, baselines, limits is not None, progress, say)
         more = None if limits is None else Further(request, seals, options, limits, progress, say)
         if more is not None:
             more.carry_out(executor)
@@ -287,8 +287,13 @@ class _Current:
     """
 
     seals: Mapping[int, str]
-    report: str = field(default_factory=lambda: blind.report_fingerprint())
-    baselines: str = field(default_factory=lambda: blind.baselines_fingerprint())
+    report: str
+    baselines: str
+
+    @classmethod
+    def of(cls, seals: Mapping[int, str], further: bool) -> _Current:
+        """Now; ``further`` where designed trials may follow."""
+        return cls(seals, blind.report_fingerprint(further), blind.baselines_fingerprint(further))
 
     def holds(self, path: Path, case: int, what: str) -> bool | None:
         """Whether a file is of this version; None where there is none."""
@@ -305,10 +310,11 @@ def _diagnose(
     seals: Mapping[int, str],
     executor: Executor,
     baselines: bool,
+    further: bool,
     progress: Progress,
     say: Say,
 ) -> list[str]:
-    current = _Current(seals)
+    current = _Current.of(seals, further)
     tasks: list[tuple[int, dict[str, Path]]] = []
     stale = {"report": 0, "baselines": 0}
     for case in seals:
@@ -330,7 +336,7 @@ def _diagnose(
     # Recordings are read when they are needed. Who diagnoses them is told of nothing else.
     given = (
         (recorded(request.recordings(case), request.model), request.model, "report" in needed, "baselines" in needed,
-         seals[case])
+         further, seals[case])
         for case, needed in tasks
     )  # fmt: skip
     for index, found in executor.each_apart(blind.answer, given):
@@ -344,6 +350,6 @@ def _diagnose(
                     write_text(needed[what], text)
         progress(STAGES[1], finished, len(seals))
     require_all(ended, "diagnosed")
-    changed = _Current(seals)
+    changed = _Current.of(seals, further)
     mixed = sum(not changed.holds(request.report(case), case, "report") for case in seals)
     return [f"the program changed while it ran: {mixed} reports are of another version"] if mixed else []
