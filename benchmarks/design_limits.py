@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import argparse
 import time
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
@@ -21,7 +22,7 @@ from threadpoolctl import threadpool_limits
 
 from equimus_ctrl import presets
 from equimus_ctrl.diagnosis.rivals import Rivals
-from equimus_ctrl.errors import ConfigError
+from equimus_ctrl.errors import ConfigError, ModelError
 from equimus_ctrl.experiments.conditions import KnownCondition
 from equimus_ctrl.experiments.design import LIMIT_DRAWS
 from equimus_ctrl.experiments.families import FAMILIES
@@ -90,9 +91,11 @@ def main() -> None:
             rng = np.random.default_rng([given.seed, k])
             try:
                 rivals = rivals_in(path, model)
-                for _ in range(count):  # draws and truths of its own for each, or designs would not be independent
-                    family, share, left = Case(rivals, limits, given.draws, given.truths, rng).design(rng)
-                    rows.append({"record": str(path), "family": family, "share": share, "left": left.tolist()})
+                wanted = len(rows) + count
+                while len(rows) < wanted:  # draws and truths of its own for each, or designs would not be independent
+                    with suppress(ModelError):  # a truth that rests nowhere is none that was recorded
+                        family, share, left = Case(rivals, limits, given.draws, given.truths, rng).design(rng)
+                        rows.append({"record": str(path), "family": family, "share": share, "left": left.tolist()})
             except ConfigError as error:
                 print(f"{path}: {error}")
             print(f"{path}: {len(rows)} designs, {time.process_time() - begun:.0f} s of CPU", flush=True)

@@ -115,16 +115,25 @@ def test_what_is_no_longer_asked_for_is_settled_only_where_it_is_excluded() -> N
 @pytest.mark.parametrize(
     ("own", "left", "worth"),
     [
-        (predicted(), 1, True),
-        (predicted(chance=0.2, repeats=4.0), 1, True),  # by luck
-        (predicted(chance=0.01, repeats=4.0), 4, True),
-        (predicted(chance=0.01, repeats=4.0), 3, False),
-        (predicted(chance=0.0, repeats=math.inf), 99, False),
+        ([predicted()], 1, True),
+        ([predicted(chance=0.01, repeats=4.0)], 4, True),
+        ([predicted(chance=0.01, repeats=4.0)], 3, False),
+        ([predicted(chance=0.2, repeats=math.inf)], 1, False),
+        ([predicted(chance=0.2, repeats=math.inf)], 4, True),  # one of them by luck
+        ([predicted(chance=0.2, repeats=math.inf, other=other) for other in "bcd"], 1, True),  # one of the pairs
+        ([predicted(chance=0.0, repeats=math.inf)], 99, False),
     ],
 )
-def test_a_trial_is_worth_making_that_may_settle_something(own: Predicted, left: int, worth: bool) -> None:
-    assert worth_making([own], left) is worth
-    assert worth_making([predicted(chance=0.0, repeats=math.inf), own], left) is worth
+def test_a_trial_is_worth_making_that_may_settle_something(own: list[Predicted], left: int, worth: bool) -> None:
+    assert worth_making(own, left) is worth
+    assert worth_making([predicted(chance=0.0, repeats=math.inf, other="e"), *own], left) is worth
+
+
+def test_of_a_pair_either_explanation_may_be_true() -> None:
+    one = predicted(chance=0.9)
+    for chance, worth in ((0.0, False), (0.2, True)):
+        back = replace(one, true=one.other, other=one.true, chance=chance, repeats=math.inf)
+        assert worth_making([replace(one, repeats=math.inf), back], 1) is worth
 
 
 def test_nothing_to_tell_apart_is_worth_no_trial() -> None:
@@ -187,9 +196,7 @@ def test_predictions_are_of_the_labels_of_rivals() -> None:
     first, second = Predicted.of(rivals, [Pair(both, "settled"), Pair(both, "one trial")])
     assert (first.true, first.other) == (rivals.rivals[0].label, rivals.rivals[1].label)
     assert (second.true, second.other) == (first.other, first.true)
-    assert first.gap == 100.0 and first.low < 100.0 < first.high and first.separable
-    hopeless = Predicted.of(rivals, [Pair(both, "inseparable")])
-    assert not any(own.separable for own in hopeless) and not worth_making(hopeless, 9)
+    assert first.gap == 100.0 and first.low < 100.0 < first.high
 
 
 def power(first: int, second: int) -> Power:

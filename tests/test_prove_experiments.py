@@ -124,7 +124,7 @@ def test_gaps_are_near_within_a_factor_of_two_and_noise(
 
 def pair(gap: float, realised: float, true: str = "lag", settled: bool = True) -> dict[str, Any]:
     own = {"true": true, "other": "rub", "gap": gap, "low": gap / 3, "high": 3 * gap, "chance": 0.9, "repeats": 1.0}
-    return {"predicted": {**own, "separable": True}, "gap": realised, "settled": settled}
+    return {"predicted": own, "gap": realised, "settled": settled}
 
 
 def design(end: str | None = None, said: str = "", **more: Any) -> dict[str, Any]:
@@ -370,7 +370,9 @@ class World:
         if number > 1:
             return {**known, "end": "resolved", "commands": None, "predicted": []}
         commands = {"times": [0.0], "commands": [[1e4, 1e4]], "duration_s": 6.0, "start": None, "notes": {}}
-        own = {**pair(100.0, 0.0)["predicted"], "separable": bool(case) and self.worth}
+        own = pair(100.0, 0.0)["predicted"]
+        if not (case and self.worth):
+            own = {**own, "chance": 0.0, "repeats": None}
         return {**known, "end": None, "commands": commands, "predicted": [own]}
 
     def drive(self, work: Any, tasks: Any) -> Iterator[tuple[int, Any]]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import cache
+from pathlib import Path
 
 import mujoco
 import numpy as np
@@ -26,9 +27,11 @@ from equimus_ctrl.errors import SimulationDiverged
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.robots.mjcf.robot import MjcfRobot
 from equimus_ctrl.types import Recording
+from equimus_ctrl.workflow import load_model
 
 XML = PENDULUM.format(drive=MOTOR)
 ARM = Model(MjcfRobot("arm", XML, source="arm.xml"))
+TWO_JOINTS = Path(__file__).parents[1] / "benchmarks" / "two_joint_arm.xml"
 HEAVIER = 1.07
 CONTROL = 5
 """Physics steps of the XML between two samples, and between two commands."""
@@ -149,21 +152,43 @@ def test_recordings_without_friction_and_with_hardly_a_step_s_error_are_no_simul
     assert found.verdict == "consistent" and not looks_simulated(found)
 
 
+def held(model: Model, friction: float, runs: list[Recording], noise: float = 5e-4) -> list[Recording]:
+    """The same commands as plants of this package simulate them, at the XML's own step, with friction that holds."""
+    joint = model.robot.joint_names[-1]
+    real, engine = replace(model, effects=(CoulombFriction(joint, friction=friction),)), simulation_of(model)
+    assert engine is not None
+    trials = [Trial(run.name, run.time, run.command, run.command[0], 0.0, run.position[0], run.time) for run in runs]
+    starts = [np.concatenate([t.position, np.zeros_like(t.position)])[None] for t in trials]
+    made, rng = replace(engine, hard_friction=True).simulate([real], trials, starts), np.random.default_rng(5)
+    return [
+        replace(run, position=own.position[0] + rng.normal(0, noise, own.position[0].shape))
+        for run, own in zip(runs, made, strict=True)
+    ]
+
+
 @pytest.mark.slow
 def test_friction_that_holds_is_dry_friction_and_its_step_no_physics() -> None:
     """As plants of this package simulate it, at the XML's own step."""
-    real, engine = replace(ARM, effects=(CoulombFriction("hinge", friction=0.1),)), simulation_of(ARM)
-    assert engine is not None
-    rng, runs = np.random.default_rng(5), recorded()
-    trials = [Trial(run.name, run.time, run.command, run.command[0], 0.0, run.position[0], run.time) for run in runs]
-    made = replace(engine, hard_friction=True).simulate(
-        [real], trials, [np.array([[t.position[0], 0.0]]) for t in trials]
-    )
-    runs = [
-        replace(run, position=own.position[0] + rng.normal(0, 5e-4, own.position[0].shape))
-        for run, own in zip(runs, made, strict=True)
-    ]
-    found = workflow.diagnose(runs, ARM, threads=2)
+    found = workflow.diagnose(held(ARM, 0.1, recorded()), ARM, threads=2)
     assert [str(f.named) for f in found.findings] == ["coulomb_friction at hinge"] and looks_simulated(found)
     (finding,) = found.findings
     assert finding.parameters["friction"].value == pytest.approx(0.1, rel=0.01) and not finding.equivalent
+
+
+@pytest.mark.slow
+def test_whether_friction_holds_or_creeps_is_seen_once_there_is_some() -> None:
+    """A hypothesis without friction tells a simulation's step error, but not how friction in it stops a joint."""
+    arm = load_model(TWO_JOINTS)
+    robot, times, runs = arm.robot, np.arange(600) * 0.01, []
+    for k in range(2):
+        levels = np.random.default_rng(k).uniform(-0.3, 0.3, (8, 2))
+        rows = np.repeat(levels - levels[0], 80, axis=0)[:600]
+        runs.append(Recording(f"t{k}", times, rows, 0 * rows, robot.actuator_names, robot.joint_names))
+    found = workflow.diagnose(held(arm, 0.05, runs), arm, threads=2)
+    assert [str(f.named) for f in found.findings] == ["coulomb_friction at elbow"] and looks_simulated(found)
+    (finding,), rivals = found.findings, found.rivals
+    assert finding.parameters["friction"].value == pytest.approx(0.05, rel=0.02)
+    first, *others = (rival.score(rivals.n) for rival in rivals.rivals)
+    assert (
+        others and min(others) > first - 6
+    )  # richer friction laws fit the noise better, by as much as noise lets them

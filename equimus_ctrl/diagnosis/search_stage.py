@@ -37,8 +37,9 @@ def find_effects(state: State) -> State:
         while (now := next(steps, None)) is not None:
             end = now
             reached.forget()
-            if made is None and (made := simulated(search, end)) is not None:
-                search, end = made.search, made.end
+            found = simulated(search, end) if made is None else made.holding(end)
+            if found is not None:
+                made, search, end = found, found.search, found.end
                 steps = search.steps(end)
                 reached.forget()
         if made is not None:

@@ -46,8 +46,8 @@ class Effect:
     A class has to say ``name``, ``sits_at`` and ``summary``; its base says ``side``. ``robots``, ``alike``,
     ``exclusive``, ``delays``, ``discontinuous``, ``even``, ``special_cases``, ``tends_to``, ``mjcf_form``, the sizes of
     a proof and the methods it says where the default is not right. Of a ``ForceEffect`` ``rubs``, ``loads``,
-    ``scales``, ``own_equations`` and, with dry friction, ``mujoco_flags`` follow from the methods that it has, whatever
-    it says.
+    ``dry``, ``scales``, ``own_equations`` and, with dry friction, ``mujoco_flags`` follow from the methods that it has,
+    whatever it says.
 
     Attributes:
         location: the joint, actuator or body it sits at.
@@ -82,6 +82,8 @@ class Effect:
     """Whether it has dry friction of its own (``ForceEffect.dry_friction``)."""
     loads: ClassVar[bool] = False
     """Whether it has dry friction that grows with a drive's force (``ForceEffect.friction_of_load``)."""
+    dry: ClassVar[bool] = False
+    """Whether it has dry friction, of its own or that grows."""
     robots: ClassVar[tuple[str, ...]] = ("elastic",)
     """Kinds of robots that can have it: ``elastic`` (morphologies with elastic actuators), ``mjcf`` (MuJoCo's XML)."""
     mujoco_flags: ClassVar[tuple[str, ...]] = ()

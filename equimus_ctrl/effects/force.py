@@ -63,7 +63,8 @@ class ForceEffect(Effect):
             getattr(cls, own).__func__ is not getattr(ForceEffect, own).__func__
             for own in ("friction_of_load", "force_of_drive")
         )
-        if cls.rubs or cls.loads:
+        cls.dry = cls.rubs or cls.loads
+        if cls.dry:
             cls.mujoco_flags = ("constraint", "frictionloss")
         if cls.exclusive is None and hasattr(cls, "name"):
             cls.exclusive = cls.name

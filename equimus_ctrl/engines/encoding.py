@@ -100,7 +100,7 @@ def encoded(models: Sequence[Model], mechanics: Sequence[Mechanics]) -> Encoded:
             )
         require_simulated(model.effects, f"{model.name}: the reduced engine")
         for effect in model.effects:
-            if effect.rubs or effect.loads:
+            if effect.dry:
                 in_use |= {
                     r for r, (kind, i) in enumerate(places) if own.law_places.get(kind, {i: ""})[i] == effect.location
                 }

@@ -115,7 +115,7 @@ def realise(
             (value,) = effect.parameters().values()
             place = dofs[effect.location]
             getattr(own, field)[place if entry is None else (place, entry)] += value
-        if hard_friction and (effect.rubs or effect.loads):
+        if hard_friction and effect.dry:
             harden(own, dofs[effect.location])
     valve = valve_settings(model.effects, robot.actuator_names)
     # The XML's own delays are exact with any step, as those of effects are, and know the command before a recording.

@@ -57,8 +57,12 @@ def forecast(designed: Designed, simulator: Simulator | None = None) -> Forecast
     models = [rival.model for rival in rivals.rivals]
     for rival in rivals.rivals:
         models += [rival.model_at(theta) for theta in rival.draws(rng, draws)]
-    (found,) = ground.crowd(models).predicted([commands])
-    shown = np.where(found.sound[:, None, None], found.position[..., :nj], np.nan)
+    crowd = ground.crowd(models)
+    (found,) = crowd.predicted([commands])
+    shown = np.full((len(models), *found.position.shape[1:-1], nj), np.nan)
+    resting = {id(model) for model in crowd.models}
+    there = [id(model) in resting for model in models]
+    shown[there] = np.where(found.sound[:, None, None], found.position[..., :nj], np.nan)
     count = len(rivals.rivals)
     drawn = shown[count:].reshape(count, draws, *shown.shape[1:])
     low, high = np.nanquantile(drawn, INTERVAL, axis=1)

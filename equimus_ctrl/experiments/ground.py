@@ -233,14 +233,26 @@ class Ground:
         return engine.tracked(models, trial, reference, own.law, starts, noise, self.simulator.threads)
 
     def crowd(self, models: Sequence[Model]) -> Crowd:
-        """Models at rest here."""
+        """Models at rest here, without those that rest nowhere: the robot did before it was recorded.
+
+        Raises:
+            ModelError: where none rests.
+        """
         nj = len(self.rivals.model.robot.joint_names)
         if self.pose is not None:
             starts = np.tile(np.append(self.pose, np.zeros(nj)), (len(models), 1))
             disturbed = None if self.law is None else self._noise(len(models))
             return Crowd(self, tuple(models), starts, LEAD, disturbed)
-        rests = [rest_pose(as_noted(model, self.condition.notes), self.rest) for model in models]
-        return Crowd(self, tuple(models), np.column_stack([rests, np.zeros((len(models), nj))]), 0.0)
+        resting, rests, refused = list[Model](), list[Array](), list[ModelError]()
+        for model in models:
+            try:
+                rests.append(rest_pose(as_noted(model, self.condition.notes), self.rest))
+                resting.append(model)
+            except ModelError as error:
+                refused.append(error)
+        if not resting:
+            raise refused[0]
+        return Crowd(self, tuple(resting), np.column_stack([rests, np.zeros((len(rests), nj))]), 0.0)
 
     def _noise(self, count: int) -> Array:
         """(count, n, nj) that sensors of so many models have through a lead and a trial, the same for all designs."""

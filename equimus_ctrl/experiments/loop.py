@@ -19,7 +19,7 @@ from equimus_ctrl.diagnosis.holdout import EVERY, LAST, Holdout, choose_holdout,
 from equimus_ctrl.diagnosis.results import Diagnosis
 from equimus_ctrl.diagnosis.rivals import Rival, Rivals, refitted_to
 from equimus_ctrl.errors import SimulationDiverged
-from equimus_ctrl.experiments.power import LIKELY, margin
+from equimus_ctrl.experiments.power import margin
 from equimus_ctrl.experiments.results import Pair
 from equimus_ctrl.shown import counted
 from equimus_ctrl.types import Recording
@@ -27,6 +27,8 @@ from equimus_ctrl.types import Recording
 End = Literal["resolved", "inseparable", "trials", "seconds"]
 """Why there is no further trial: one explanation is left, nothing more can be distinguished within the limits, or the
 budget of trials or of seconds is spent."""
+WORTH = 0.5
+"""Pairs that a trial is expected to settle, to be worth making."""
 
 
 @dataclass(frozen=True)
@@ -138,7 +140,6 @@ class Predicted:
         high: of it.
         chance: that one trial settles the pair.
         repeats: of the trial that are likely to; inf where no number is.
-        separable: whether any trial that the search tried, or repeats of it, is likely to settle the pair.
     """
 
     true: str
@@ -148,7 +149,6 @@ class Predicted:
     high: float
     chance: float
     repeats: float
-    separable: bool = True
 
     @classmethod
     def of(cls, rivals: Rivals, pairs: Sequence[Pair]) -> tuple[Predicted, ...]:
@@ -156,8 +156,7 @@ class Predicted:
         labels = [label_of(rival) for rival in rivals.rivals]
         return tuple(
             cls(
-                labels[own.first], labels[own.second], own.gap, *own.interval, own.chance, own.repeats,
-                pair.ending != "inseparable",
+                labels[own.first], labels[own.second], own.gap, *own.interval, own.chance, own.repeats
             )
             for pair in pairs
             if pair.ending != "settled"
@@ -256,15 +255,20 @@ def fitted_share(patterns: Sequence[str] = ()) -> float:
 
 
 def worth_making(predicted: Sequence[Predicted], left: int) -> bool:
-    """Whether a trial may settle a pair: not where it is likely that it settles none, nor so many of its kind.
+    """Whether trials like one, as many as there may yet be, are likely to settle a pair: more likely than not of one.
 
-    Nor where no trial that was tried separates any, though an unlikely draw of the parameters might.
+    Of a pair either explanation may be true, one as likely as the other; of several pairs their chances add up to how
+    many are expected to be settled.
 
     Args:
         predicted: of the trial.
         left: how many trials there may yet be.
     """
-    return any(own.separable and (own.repeats <= left or own.chance > 1 - LIKELY) for own in predicted)
+    pairs: dict[frozenset[str], list[float]] = {}
+    for own in predicted:
+        chance = 1.0 if own.repeats <= left else 1.0 - (1.0 - own.chance) ** left
+        pairs.setdefault(frozenset({own.true, own.other}), []).append(chance)
+    return sum(sum(both) / len(both) for both in pairs.values()) >= WORTH
 
 
 def why(predicted: Sequence[Predicted]) -> str:

@@ -245,7 +245,7 @@ def _own(slot: Slot, p: ca.SX) -> dict[str, ca.SX]:
 def rubbing_places(form: Structure, laws: Laws) -> tuple[Place, ...]:
     """(kind, index) of each row of dry friction: where the robot itself or a law can have it."""
     found = set(form.friction_at)
-    found |= {(slot.kind, slot.index) for slot in slots_of(form, laws) if slot.law.rubs or slot.law.loads}
+    found |= {(slot.kind, slot.index) for slot in slots_of(form, laws) if slot.law.dry}
     order = {"joint": 0, "actuator": 1}
     return tuple(sorted(found, key=lambda at: (order.get(at[0], 2), *at)))
 
@@ -279,7 +279,7 @@ def _rubbing(
         rows[place], bounds[place] = own.row, own.bound
     for slot in slots:
         law, place = slot.law, (slot.kind, slot.index)
-        if not (law.rubs or law.loads):
+        if not law.dry:
             continue
         own_p = _own(slot, p)
         speed = ca.fabs(ca.substitute(rows[place] @ m.v, m.v, (m.v + v0) / 2))

@@ -89,7 +89,7 @@ def missing_in_exact(model: Model) -> str:
     states = augmented_model(mechanics.form, model.phase, laws_of(model.effects)).z.numel()
     if states or any(channel.kind != DIRECT for channel in mechanics.channels):
         return "states of its own beside its motion"
-    if any(mechanics.friction().values()) or any(effect.rubs for effect in force_effects(model.effects)):
+    if any(mechanics.friction().values()) or any(effect.dry for effect in force_effects(model.effects)):
         return "dry friction"
     return can_touch(realise(model).mujoco)
 

@@ -163,7 +163,7 @@ def _effect_parameters(
     m = augmented_model(structure(nominal), phase, laws)
     names = {"joint": nominal.joint_names, "actuator": nominal.actuator_names}
     own = np.array(law_parameters(m.slots, effects, *names.values()), dtype=np.float64)
-    rubbed = {e.location for e in effects if isinstance(e, ForceEffect) and e.rubs}
+    rubbed = {e.location for e in effects if e.dry}
     rows = [r for r, (kind, i) in enumerate(m.rubbing) if names[kind][i] in rubbed]
     return own, np.array(rows, dtype=np.int64)
 
