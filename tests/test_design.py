@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import cache
+from typing import Any
 
 import numpy as np
 import pytest
@@ -11,7 +12,9 @@ from mjcf_models import refusal
 from rival_legs import delays, frictions
 
 from equimus_ctrl.diagnosis.rivals import Rivals
-from equimus_ctrl.errors import ConfigError, NothingFeasible
+from equimus_ctrl.errors import ConfigError, ModelError, NothingFeasible
+from equimus_ctrl.experiments import forecast as forecast_module
+from equimus_ctrl.experiments import ground as ground_module
 from equimus_ctrl.experiments.conditions import known_conditions
 from equimus_ctrl.experiments.design import designed, told_pairs
 from equimus_ctrl.experiments.families import families
@@ -20,6 +23,7 @@ from equimus_ctrl.experiments.limits import Limits
 from equimus_ctrl.experiments.predicted import Commands
 from equimus_ctrl.experiments.results import Designed
 from equimus_ctrl.experiments.separation import separations
+from equimus_ctrl.models.model import Model
 
 RANGE = {"drive.low": "-1.2", "drive.high": "1.2", "duration": "2.5"}
 
@@ -105,10 +109,51 @@ def test_a_course_is_shrunk_until_all_of_many_stay_within() -> None:
     assert tight.excess(more).left
 
 
-def test_late_sensors_and_late_valves_are_inseparable_and_a_pressure_sensor_is_named() -> None:
+def test_models_that_rest_nowhere_are_left_out(monkeypatch: pytest.MonkeyPatch) -> None:
     rivals = delays()
-    limits = Limits.read(rivals.model.robot, None, {"duration": "2.5"})
-    found = quickly(rivals, limits, 12, 9)
+    ground = Ground.of(
+        rivals, Limits.read(rivals.model.robot), known_conditions((), rivals.model)[0], rivals.simulator(1)
+    )
+    models, real = [own.model for own in rivals.rivals], ground_module.rest_pose
+
+    def rest_pose(model: Model, *args: Any) -> Any:
+        if model is models[0]:
+            raise ModelError("it rests nowhere")
+        return real(model, *args)
+
+    whole = ground.crowd(models)
+    monkeypatch.setattr(ground_module, "rest_pose", rest_pose)
+    monkeypatch.setattr(ground_module, "as_noted", lambda model, notes: model)
+    left = ground.crowd(models)
+    assert left.models == tuple(models[1:]) and np.array_equal(left.starts, whole.starts[1:])
+    with pytest.raises(ModelError, match="nowhere"):
+        ground.crowd(models[:1])
+
+
+@cache
+def late() -> Designed:
+    rivals = delays()
+    return quickly(rivals, Limits.read(rivals.model.robot, None, {"duration": "2.5"}), 12, 9)
+
+
+def test_what_rests_nowhere_is_not_in_a_forecast(monkeypatch: pytest.MonkeyPatch) -> None:
+    real, first = ground_module.rest_pose, [True]
+
+    def rest_pose(*args: Any) -> Any:
+        if first and first.pop():
+            raise ModelError("it rests nowhere")
+        return real(*args)
+
+    monkeypatch.setattr(forecast_module, "DRAWS", 4)
+    whole = forecast_module.forecast(late(), delays().simulator(1))
+    monkeypatch.setattr(ground_module, "rest_pose", rest_pose)
+    found = forecast_module.forecast(late(), delays().simulator(1))
+    assert np.isnan(found.middle[0]).all() and np.array_equal(found.middle[1:], whole.middle[1:])
+    assert np.array_equal(found.low, whole.low) and np.array_equal(found.high, whole.high)
+
+
+def test_late_sensors_and_late_valves_are_inseparable_and_a_pressure_sensor_is_named() -> None:
+    found = late()
     (pair,) = found.inseparable
     assert pair.places == (0, 1) and pair.harder.repeats == np.inf and pair.harder.chance < 0.05
     best = found.remedies[0, 1][0]
