@@ -20,6 +20,7 @@ from equimus_ctrl.experiments.loop import (
     belief_of,
     fitted_share,
     held_out,
+    hopeless,
     label_of,
     no_longer_left,
     realised,
@@ -134,6 +135,14 @@ def test_of_a_pair_either_explanation_may_be_true() -> None:
     for chance, worth in ((0.0, False), (0.2, True)):
         back = replace(one, true=one.other, other=one.true, chance=chance, repeats=math.inf)
         assert worth_making([replace(one, repeats=math.inf), back], 1) is worth
+
+
+def test_what_is_named_is_hopeless_whatever_is_to_be_seen_beside_it() -> None:
+    one, beside = predicted(chance=0.0, repeats=math.inf), predicted(other="a and c (size 1)")
+    assert worth_making([one, beside], 1)
+    assert hopeless(["a", "b"], [one, beside]) == (one,)
+    assert not hopeless(["a", "b", "c"], [one, beside])  # nothing is known of the third
+    assert not hopeless(["a", "b"], [predicted(), beside]) and not hopeless(["a"], [one, beside])
 
 
 def test_nothing_to_tell_apart_is_worth_no_trial() -> None:

@@ -44,6 +44,7 @@ class Bench:
         self.leaves = leaves
         self.powers = (power(50.0), power(40.0, swapped=True))
         self.notes: list[dict[str, str]] = [{}]
+        self.record: dict[str, Any] = {}
         self.designs = self.diagnoses = 0
         self.seen: list[list[str]] = []
 
@@ -52,7 +53,7 @@ class Bench:
         notes = self.notes[min(self.designs, len(self.notes)) - 1]
         rows = np.column_stack([9e3 + 3e3 * np.sin(6 * TIMES), np.full(len(TIMES), 6e3)])
         commands = Commands(TIMES, rows, 1.0, notes=notes)
-        record = {"family": "multisine", "condition": ", ".join(notes), "amplitude": 1.0}
+        record = {"family": "multisine", "condition": ", ".join(notes), "amplitude": 1.0, **self.record}
         return SimpleNamespace(commands=commands, pairs=(Pair(self.powers, "one trial"),), to_dict=lambda: record)
 
     def diagnose(self, trials: list[Recording], *given: Any, **options: Any) -> Diagnosis:
@@ -178,6 +179,18 @@ def test_it_ends_where_no_trial_tells_more_apart(bench: Bench, before: Path, tmp
     found = run(tmp_path / "runs", before)
     assert found.end == "inseparable" and not found.trials
     assert "nothing more can be distinguished" in found.said and "no number of them would do" in found.said
+
+
+def test_what_is_named_may_be_inseparable_though_trials_show_what_may_hide_beside_it(
+    bench: Bench, before: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    bench.leaves, bench.powers = bench.leaves[:1], (power(0.1, repeats=np.inf), power(0.2, True, np.inf))
+    sensor = {"kind": "sensor", "name": "vel.hip", "gap": 900.0, "without": 0.1, "pair": [0, 1]}
+    bench.record = {"remedies": [{**sensor, "name": "vel.knee", "gap": 10.0}, sensor]}
+    monkeypatch.setattr(experiment_runs, "worth_making", lambda predicted, left: True)
+    found = run(tmp_path / "runs", before, trials=2)
+    assert len(found.trials) == 2 and found.end == "inseparable"
+    assert "no number of them would do; measuring vel.hip would (an expected gap of 900" in found.said
 
 
 def test_what_has_to_be_set_is_asked_for(bench: Bench, before: Path, tmp_path: Path) -> None:

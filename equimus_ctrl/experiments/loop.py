@@ -11,7 +11,7 @@ fitted, and what a trial was designed to show is confirmed by trials that show i
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Any, Literal
 
@@ -269,6 +269,20 @@ def worth_making(predicted: Sequence[Predicted], left: int) -> bool:
         chance = 1.0 if own.repeats <= left else 1.0 - (1.0 - own.chance) ** left
         pairs.setdefault(frozenset({own.true, own.other}), []).append(chance)
     return sum(sum(both) / len(both) for both in pairs.values()) >= WORTH
+
+
+def hopeless(named: Collection[str], predicted: Sequence[Predicted]) -> tuple[Predicted, ...]:
+    """The predictions for what is named, where not one of these explanations is to be told from the first; else none.
+
+    Trials may yet be made, for what may hide beside them.
+
+    Args:
+        named: labels of the explanations that a diagnosis names, see ``Rivals.named``.
+        predicted: of the best trial that was found.
+    """
+    own = tuple(pair for pair in predicted if pair.true in named and pair.other in named)
+    known = {label for pair in own for label in (pair.true, pair.other)}
+    return own if known == set(named) and not worth_making(own, 1) else ()
 
 
 def why(predicted: Sequence[Predicted]) -> str:

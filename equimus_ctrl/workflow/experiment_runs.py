@@ -39,6 +39,8 @@ from equimus_ctrl.experiments.loop import (
     belief_of,
     fitted_share,
     held_out,
+    hopeless,
+    label_of,
     no_longer_left,
     realised,
     why,
@@ -366,12 +368,20 @@ def _ended(bench: _Bench, steps: Sequence[Step]) -> tuple[End, str]:
             spent = bench.spent(steps)
             said += f"; {NOTHING_BESIDE if spent is None else ENDS[spent]}"
         return "resolved", said
-    if (end := bench.spent(steps)) is not None:
-        return end, ENDS[end]
-    plan = Plan.read(bench.place(last.number + 1))
+    spent = bench.spent(steps)
+    plan, before = Plan.read(bench.place(last.number + 1)), last.rivals
+    if plan is None and spent is not None and len(steps) > 1:
+        plan, before = last.plan, steps[-2].rivals
     if plan is None:
-        return "inseparable", why_not(())
-    return "inseparable", why_not(plan.predicted) + _remedy(plan.record.get("remedies", ()))
+        return ("inseparable", why_not(())) if spent is None else (spent, ENDS[spent])
+    remedies = plan.record.get("remedies", ())
+    if own := hopeless([label_of(rival) for rival in last.rivals.named], plan.predicted):
+        pairs = {frozenset({pair.true, pair.other}) for pair in own}
+        labels = [label_of(rival) for rival in before.rivals]
+        remedies = [one for one in remedies if frozenset(labels[k] for k in one["pair"]) in pairs]
+    elif spent is not None:
+        return spent, ENDS[spent]
+    return "inseparable", why_not(own or plan.predicted) + _remedy(remedies)
 
 
 def _remedy(remedies: Sequence[Mapping[str, Any]]) -> str:
