@@ -162,6 +162,7 @@ def test_late_sensors_and_late_valves_are_inseparable_and_a_pressure_sensor_is_n
     assert by_name["pressure.maa"].gap > 100 > 1 > by_name["pressure.maa"].without
     assert by_name["pressure.maa"].unit == "Pa" and by_name["pressure.maa"].noise == 500.0
     assert by_name["maa.stiffness"].gap < 1
+    assert found.settles(by_name["pressure.maa"]) and not found.settles(by_name["maa.stiffness"])
 
 
 def test_a_condition_is_taken_where_it_helps() -> None:

@@ -185,8 +185,9 @@ def test_what_is_named_may_be_inseparable_though_trials_show_what_may_hide_besid
     bench: Bench, before: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     bench.leaves, bench.powers = bench.leaves[:1], (power(0.1, repeats=np.inf), power(0.2, True, np.inf))
-    sensor = {"kind": "sensor", "name": "vel.hip", "gap": 900.0, "without": 0.1, "pair": [0, 1]}
-    bench.record = {"remedies": [{**sensor, "name": "vel.knee", "gap": 10.0}, sensor]}
+    sensor = {"kind": "sensor", "name": "vel.hip", "gap": 900.0, "without": 0.1, "settles": True, "pair": [0, 1]}
+    useless = {**sensor, "name": "maa.area", "kind": "parameter", "gap": 999.0, "settles": False}
+    bench.record = {"remedies": [{**sensor, "name": "vel.knee", "gap": 10.0}, useless, sensor]}
     monkeypatch.setattr(experiment_runs, "worth_making", lambda predicted, left: True)
     found = run(tmp_path / "runs", before, trials=2)
     assert len(found.trials) == 2 and found.end == "inseparable"

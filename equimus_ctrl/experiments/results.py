@@ -128,6 +128,14 @@ class Designed(Short):
         """Pairs that it tells apart, repeated or not."""
         return tuple(own for own in self.pairs if own.ending in ("one trial", "repeats"))
 
+    def settles(self, remedy: Remedy) -> bool:
+        """Whether a trial with a remedy is expected to settle its pair, which none without it is.
+
+        What is to first order says nothing where it finds a gap that refitting does not.
+        """
+        power = next(own for own in self.pairs if own.places == remedy.pair).harder
+        return remedy.gap > power.needed - power.ahead > remedy.without
+
     def to_dict(self) -> dict[str, Any]:
         """As JSON data, schema ``equimus-ctrl/design/1``."""
         return {
@@ -144,7 +152,9 @@ class Designed(Short):
             "excess": self.excess.worst,
             "draws": self.draws,
             "leaves_limits_with_at_most": self.leaves_with,
-            "remedies": [own.to_dict() for several in self.remedies.values() for own in several],
+            "remedies": [
+                {**own.to_dict(), "settles": self.settles(own)} for several in self.remedies.values() for own in several
+            ],
             "tried": [own.to_dict() for own in self.tried],
             "refused": [{"condition": text, "reason": why} for text, why in self.refused],
             "seed": self.seed,

@@ -83,12 +83,9 @@ def remedy_sentence(remedy: Remedy) -> str:
 
 def helpful(found: Designed, pair: Pair) -> list[Remedy]:
     """What would settle an inseparable pair: the best of each kind, best first."""
-    power = pair.harder
-    needed = power.needed - power.ahead
     best: dict[str, Remedy] = {}
     for own in found.remedies.get(pair.places, ()):
-        # What is to first order says nothing where it finds a gap that refitting does not.
-        if own.gap > needed > own.without:
+        if found.settles(own):
             best.setdefault(own.name.partition(".")[0] if own.kind == "sensor" else own.kind, own)
     return list(best.values())[:TOLD_REMEDIES]
 

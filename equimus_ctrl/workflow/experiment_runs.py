@@ -386,9 +386,9 @@ def _ended(bench: _Bench, steps: Sequence[Step]) -> tuple[End, str]:
 
 def _remedy(remedies: Sequence[Mapping[str, Any]]) -> str:
     """What would distinguish a pair that nothing else does, as a clause; none where nothing would."""
-    if not remedies:
+    best = max((own for own in remedies if own["settles"]), key=lambda own: own["gap"], default=None)
+    if best is None:
         return ""
-    best = max(remedies, key=lambda own: own["gap"])
     what = "measuring" if best["kind"] == "sensor" else "knowing"
     return f"; {what} {best['name']} would (an expected gap of {best['gap']:.3g} in place of {best['without']:.3g})"
 
