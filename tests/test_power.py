@@ -34,6 +34,16 @@ def test_the_true_rival_refits_at_no_cost() -> None:
     assert max(np.abs(own).max() for own in found.left) < 1e-6
 
 
+def test_what_needs_no_refit_gets_none_however_sure_one_of_its_parameters_is() -> None:
+    """Without a slope and with parameters that hardly count beside another, least squares divide 0 by 0."""
+    rivals = of_a_pendulum()
+    own = rivals.rivals[0]
+    sure = np.zeros_like(own.information)
+    sure[0, 0] = 1e40
+    found = refitted(replace(own, information=sure), target(rivals, SWING))
+    assert found.converged and found.cost < 1e-9 and found.theta == pytest.approx(own.theta)
+
+
 def test_another_is_refitted_to_about_what_the_first_order_says() -> None:
     """Small changes of what is free: there both are the same problem."""
     rivals = of_a_pendulum()

@@ -40,6 +40,8 @@ BESIDE = 10.0
 """A gap counts beside what a diagnosis asks for, 10 or more: a cost far below need not be known to a part of itself."""
 EXACT = TOLERANCE * BESIDE
 """To this a gap is known that is nothing."""
+LEVEL = 1e-9
+"""Of a cost's slope: where it is 0 the method's step is 0/0."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -217,7 +219,7 @@ def _refit_of(task: Task) -> Callable[[Residuals], tuple[float, float, Array, bo
         first = np.clip(first, low + 1e-9 * (high - low), high - 1e-9 * (high - low))
         found = least_squares(
             lambda point: whole([point])[:, 0], first, jac=slopes, bounds=(low, high), ftol=TOLERANCE, xtol=TOLERANCE,
-            gtol=None, max_nfev=EVALUATIONS,
+            gtol=LEVEL, max_nfev=EVALUATIONS,
         )  # fmt: skip
         cost, earlier = max(2.0 * float(found.cost) - BESIDE, 0.0), float(((root @ (found.x - own)) ** 2).sum())
         return cost, min(earlier, cost), np.asarray(found.x * free.scale), bool(found.status > 0)
