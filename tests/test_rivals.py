@@ -49,8 +49,8 @@ def test_explanations_of_the_same_effects_are_one(diagnosis: Diagnosis) -> None:
     assert [rival.accepted for rival in nearest.rivals] == [True, False]
 
 
-def hidden_friction(size: float) -> Hypothesis:
-    part = part_of("coulomb_friction", ("knee",), {"friction": size})
+def hidden_friction(size: float, places: tuple[str, ...] = ("knee",)) -> Hypothesis:
+    part = part_of("coulomb_friction", places, {"friction": size})
     return (Part(replace(part.candidate, given=part.values), {}),)
 
 
@@ -62,6 +62,15 @@ def test_what_is_not_excluded_stands_beside_nothing(diagnosis: Diagnosis) -> Non
     assert [effect.parameters()["friction"] for effect in rubbing.model.effects] == [1e-3]
     assert rubbing.given_sizes == (("friction", 1e-3, "N·m"),) and not nothing.given_sizes
     assert [own.label for own in Rivals.of(below).named] == [nothing.label]
+
+
+def test_of_what_may_hide_beside_it_the_first_that_are_not_excluded_are_taken(diagnosis: Diagnosis) -> None:
+    places = [("hip",), ("maa",), ("baa",), ("hip", "knee")]
+    several = [hidden_friction(1e-4 if "hip" in at else 1e-2, at) for at in places]
+    below = replace(consistent(diagnosis), best=diagnosis.base, below=(hidden_friction(0.5), *several))
+    assert [own.given_sizes[0][1] for own in Rivals.of(below).rivals[1:]] == [1e-4, 1e-2, 1e-2, 1e-4]
+    more = replace(below, below=(*below.below, hidden_friction(1e-3)))
+    assert [own.label for own in Rivals.of(more).rivals] == [own.label for own in Rivals.of(below).rivals]
 
 
 def test_beside_an_effect_of_known_size_all_else_is_refitted(diagnosis: Diagnosis) -> None:

@@ -22,8 +22,8 @@ MOST = 8
 """So many are kept: each holds residuals of all trials."""
 GUESSES = 500
 """Simulated at most, for what candidates change beside what was found."""
-MOST_HIDDEN = 4
-"""So many effects that may hide beside it."""
+MOST_LOOKED_AT = 16
+"""So many effects that may hide beside it: some of them the recordings exclude."""
 MOST_NEAREST = 3
 """So many of those that come nearest to what has no name."""
 
@@ -105,7 +105,7 @@ def hidden(search: Search, end: SearchState, strengths: Sequence[Screened]) -> t
     """
     best, level = end.best, search.equally_good(search.data.thresholds) / 2
     parts = just_below(search.data.free.model, strengths, level)
-    return (*with_richer_laws(search, best), *((*best.hypothesis, part) for part in parts[:MOST_HIDDEN]))
+    return (*with_richer_laws(search, best), *((*best.hypothesis, part) for part in parts[:MOST_LOOKED_AT]))
 
 
 def with_richer_laws(search: Search, best: Fitted) -> Iterator[Hypothesis]:

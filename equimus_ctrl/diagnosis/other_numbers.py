@@ -341,7 +341,7 @@ _ROWS: Mapping[str, tuple[Row, ...]] = {
     "diagnosis.explanations": (
         ("MOST", 8, "told", "convention", "explanations that are kept beside the one given, for experiments"),
         ("GUESSES", 500, "looked at", "convention", "of sizes, for the smallest detectable ones"),
-        ("MOST_HIDDEN", 4, "told", "convention", "effects that may hide beside what was found"),
+        ("MOST_LOOKED_AT", 16, "looked at", "convention", "effects that may hide beside what was found"),
         ("MOST_NEAREST", 3, "told", "convention", "of those that come nearest to what has no name"),
     ),
     "diagnosis.smallest_sizes": (
@@ -351,6 +351,7 @@ _ROWS: Mapping[str, tuple[Row, ...]] = {
         ("MOST_CHANGED", 30.0, "looked at", "convention", "factor by which a size changes from one round to the next"),
     ),
     "diagnosis.rivals": (
+        ("MOST_HIDDEN", 4, "told", "convention", "effects that may hide beside what was found"),
         (
             "UNIFORM",
             12.0,

@@ -46,6 +46,8 @@ UNIFORM = 12.0
 NOTHING = "no missing physics"
 STEPS = 20
 """Of a fit of a rival to other trials, or of another size, from where it was."""
+MOST_HIDDEN = 4
+"""So many effects that may hide beside what was found."""
 TIGHT = 1e-12
 """Room for what is at a bound, in units of its scale."""
 
@@ -476,14 +478,15 @@ def refitted_to(rival: Rival, diagnosis: Diagnosed) -> Rival:
 def _not_excluded(first: Rival, diagnosis: Diagnosed) -> list[Rival]:
     """What may hide beside the end and fits as well, by the rule by which a diagnosis distinguishes explanations.
 
-    Of sizes of the same effect it is the first.
+    Of sizes of the same effect it is the first; of effects more they are the first ``MOST_HIDDEN``.
     """
     engine = diagnosis.best.fit.problem.simulator.engine
     many_minima = SearchPolicy.of(diagnosis.model.robot.traits, engine).many_minima
     n, found = sum(s.outputs.size for s in diagnosis.train), dict[tuple[Named, ...], Rival]()
     for hypothesis in diagnosis.below:
         effects = named_effects([part.candidate for part in hypothesis])
-        if effects in found:
+        several = sum(len(labels) > len(first.effects) for labels in found)
+        if effects in found or (len(effects) > len(first.effects) and several == MOST_HIDDEN):
             continue
         parameters = parameters_of(diagnosis.base.fit.parameters, hypothesis)
         values = [value for part in hypothesis for value in part.values.values()]
