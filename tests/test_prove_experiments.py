@@ -15,6 +15,7 @@ from rival_legs import of_a_pendulum
 
 from equimus_ctrl.cli.main import main
 from equimus_ctrl.diagnosis.rivals import Rivals
+from equimus_ctrl.effects.base import REGISTRY
 from equimus_ctrl.errors import ConfigError
 from equimus_ctrl.executors.local import OnThisComputer
 from equimus_ctrl.experiments.limits import Limits
@@ -104,6 +105,29 @@ def test_an_answer_is_right_only_where_the_truth_is_among_what_is_told(
     kind: str, missing: list[dict[str, Any]], said: Any, wanted: str
 ) -> None:
     assert judged(kind, missing, said) == wanted
+
+
+@pytest.mark.parametrize(
+    ("missing", "size", "wanted"),
+    [
+        (effect("saturation", "maa", level=2e4), 1.9e4, "unseen"),  # the higher the level, the less it does
+        (effect("saturation", "maa", level=2e4), 2.1e4, "silent"),
+        (effect("cutoff", "maa", least=2e3), 2.1e3, "unseen"),
+        (effect("cutoff", "maa", least=2e3), 1.9e3, "silent"),
+        (effect("joint_stop", "hip", angle=1.7, stiffness=9.0, damping=0.1), 1.7, "silent"),  # the upper or the lower
+    ],
+)
+def test_effects_that_no_value_switches_off_are_weaker_on_one_side(
+    missing: dict[str, Any], size: float, wanted: str
+) -> None:
+    seen_at = {"effect": missing["effect"], "locations": missing["locations"], "size": size}
+    assert judged("single", [missing], {**report(), "detectable": [seen_at]}) == wanted
+    assert judged("single", [missing], {**report(), "detectable": [{**seen_at, "size": None}]}) == "unseen"
+
+
+def test_which_effects_have_a_weaker_side() -> None:
+    for law in REGISTRY.values():
+        assert not law.weaker or law.grows_from() is None, law.name
 
 
 def test_a_diagnosis_that_failed_is_no_answer() -> None:

@@ -65,6 +65,8 @@ class Effect:
     """Whether it is also tried at all places of a kind with the same parameters, as of parts of one make."""
     nothing: ClassVar[float | None] = 0.0
     """The value of the first parameter at which the effect does nothing; None where there is none (``grows_from``)."""
+    weaker: ClassVar[Literal[-1, 0, 1]] = 0
+    """Where that is None: whether a larger (1) or a smaller (−1) value makes its influence less; 0 where it depends."""
     discontinuous: ClassVar[tuple[str, ...]] = ()
     """Discontinuous parameters: the predictions are piecewise constant in them, so fits scan a grid.
 

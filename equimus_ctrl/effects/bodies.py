@@ -280,6 +280,7 @@ class PlaneContact(EndEffect):
     mjcf_form = "a plane, a small sphere and a contact `pair` of both"
     alike = False
     nothing = None
+    weaker = -1
     in_torques = False  # a contact's force follows from less than a millimetre, which measured angles do not show
     exclusive = "plane_contact"
     mujoco_flags = ("contact", "constraint")

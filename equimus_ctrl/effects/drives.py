@@ -121,6 +121,7 @@ class DriveCompliance(BodyEffect):
     in_torques = False
     mujoco_flags = ("damper", "spring")
     nothing = None
+    weaker = 1
     alike = False
     exclusive = "compliance"
     mjcf_sizes = (
@@ -356,6 +357,7 @@ class TorqueSaturation(BodyEffect):
     summary = "the drive's force stops growing at a level"
     mjcf_form = "`forcerange`"
     nothing = None
+    weaker = 1
     exclusive = "torque_saturation"
     mjcf_sizes = (Share("level", 0.4, 0.97, "linear", "drive"),)
     level: float = parameter("N·m", 1e-6, 1e6, "the greatest force there is")

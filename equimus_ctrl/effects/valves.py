@@ -188,6 +188,7 @@ class RateLimit(ValveEffect):
     summary = "the pressure changes no faster than the valve's flow allows"
     mjcf_form = "`dcmotor` under a torque command, with `slewmax`"
     nothing = None
+    weaker = 1
     exclusive = "rate_limit"
     leg_sizes = (Size("rate", 1.5e4, 5e5, "a step of 15 kPa takes from 0.03 s to 1 s"),)
     leg_alike = True
@@ -217,6 +218,7 @@ class FillingFlow(ValveEffect):
     summary = "the valve fills at a rate that grows with the command"
     mjcf_lacks = "MuJoCo's limits of rates are constants"
     nothing = None
+    weaker = 1
     exclusive = "filling_flow"
     leg_sizes = (
         Size("rate", 1e4, 2e5, "to fill to 10 kPa takes from 0.05 s to 1 s"),
@@ -303,6 +305,7 @@ class Saturation(CompiledShaping):
     summary = "the pressure stops rising above a level"
     mjcf_form = "`ctrlrange`"
     nothing = None
+    weaker = 1
     exclusive = "saturation"
     order = SATURATION
     leg_sizes = (
@@ -335,6 +338,7 @@ class Cutoff(CompiledShaping):
     mjcf_lacks = "MuJoCo has no law with a jump"
     summary = "threshold with jump: the valve stays shut below a least command, and follows it in full above"
     nothing = None
+    weaker = -1
     exclusive = "cutoff"
     order = CUTOFF
     discontinuous = ("least",)

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from equimus_ctrl.effects.base import REGISTRY
+from equimus_ctrl.effects.base import REGISTRY, Effect
 from equimus_ctrl.robots.base import Robot
 
 STRONG = 0.3
@@ -94,8 +94,14 @@ def _too_small(true: Mapping[str, Any], detectable: float | None) -> bool:
     if detectable is None:
         return True
     law = REGISTRY[true["effect"]]
-    size = float(true["parameters"][next(iter(law.parameter_info()))])
-    return abs(size - (law.grows_from() or 0.0)) <= detectable
+    size, nothing = float(true["parameters"][next(iter(law.parameter_info()))]), law.grows_from()
+    # Where no value does nothing, what is detectable is a value of it, not how far that is from one.
+    return _is_weaker(law, size, detectable) if nothing is None else abs(size - nothing) <= detectable
+
+
+def _is_weaker(law: type[Effect], one: float, other: float) -> bool:
+    """Whether a value of a law's first parameter, none of which does nothing, certainly does no more than another."""
+    return law.weaker != 0 and law.weaker * (one - other) >= 0
 
 
 def _summands(parts: Parts) -> dict[str, frozenset[str]]:
@@ -256,8 +262,11 @@ class Case:
         law, key = explanation["effects"][-1]["effect"], explanation["given"][0].rpartition(".")[2]
         (given, *_) = [own[key] for own in explanation["model"]["effects"] if own["effect"] == law]
         (true, *_) = [own for own in self.truth["findings"] if own["effect"] == law]
-        nothing = (REGISTRY[law].grows_from() or 0.0) if key == next(iter(REGISTRY[law].parameter_info())) else 0.0
-        return bool(abs(true["parameters"][key] - nothing) <= abs(given - nothing))
+        value, nothing = true["parameters"][key], 0.0
+        if key == next(iter(REGISTRY[law].parameter_info())):
+            if (nothing := REGISTRY[law].grows_from()) is None:
+                return _is_weaker(REGISTRY[law], value, given)
+        return bool(abs(value - nothing) <= abs(given - nothing))
 
     def _among_left(self, wanted: Parts) -> bool:
         left = self.report.get("rivals", {}).get("explanations", ())
