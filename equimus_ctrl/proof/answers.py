@@ -262,10 +262,10 @@ class Case:
         law, key = explanation["effects"][-1]["effect"], explanation["given"][0].rpartition(".")[2]
         (given, *_) = [own[key] for own in explanation["model"]["effects"] if own["effect"] == law]
         (true, *_) = [own for own in self.truth["findings"] if own["effect"] == law]
-        value, nothing = true["parameters"][key], 0.0
-        if key == next(iter(REGISTRY[law].parameter_info())):
-            if (nothing := REGISTRY[law].grows_from()) is None:
-                return _is_weaker(REGISTRY[law], value, given)
+        is_size = key == next(iter(REGISTRY[law].parameter_info()))
+        value, nothing = true["parameters"][key], REGISTRY[law].grows_from() if is_size else 0.0
+        if nothing is None:
+            return _is_weaker(REGISTRY[law], value, given)
         return bool(abs(value - nothing) <= abs(given - nothing))
 
     def _among_left(self, wanted: Parts) -> bool:
