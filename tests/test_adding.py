@@ -259,6 +259,7 @@ def test_a_diagnosis_does_not_look_at_what_a_proof_draws() -> None:
         assert not re.search(r"\b(leg_sizes|mjcf_sizes|leg_alike)\b|effects\.sizes", text), name
 
 
+@pytest.mark.slow
 def test_no_other_module_asks_what_a_controller_or_plant_is() -> None:
     classes = {"PidController", "LqrController", "NmpcController", "SamplingController", "OpenLoopController"}
     classes |= {"MujocoPlant", "ReplayPlant", "HardwarePlant"}
@@ -271,6 +272,7 @@ def test_no_other_module_asks_what_a_controller_or_plant_is() -> None:
                 assert not known & {n.value for n in ast.walk(node) if isinstance(n, ast.Constant)}, name
 
 
+@pytest.mark.slow
 def test_no_module_but_its_own_holds_a_table_by_effects() -> None:
     """Effects are named elsewhere where somebody chooses one, never to tell one from others."""
     names = {name for name, cls in eq.effects.REGISTRY.items() if cls.__module__.startswith("equimus_ctrl.")}

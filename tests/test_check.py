@@ -99,6 +99,7 @@ def test_an_effect_of_the_smallest_detectable_size_gains_about_what_it_has_to(
     assert above > 2.0 * threshold
 
 
+@pytest.mark.slow
 def test_what_free_parameters_can_do_shows_at_no_size() -> None:
     """A payload is mass and inertia, which are free."""
     own = smallest("payload_mass", "tip")

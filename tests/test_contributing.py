@@ -31,6 +31,7 @@ def test_the_files_that_contributing_names_are_there() -> None:
     assert not [name for name in named if not (ROOT / name).is_file() and not (ROOT.parent / name).is_file()]
 
 
+@pytest.mark.slow
 def test_all_that_a_diagnosis_runs_through_is_to_be_read_once() -> None:
     """The modules of a diagnosis, and whatever of the parts listed one of them imports."""
     own = {module for module in modules() if is_diagnosis(module)}

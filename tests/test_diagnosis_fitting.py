@@ -48,6 +48,7 @@ def fitted(commands: list[Array], guess: float) -> tuple[Data, Fitted]:
     return data, data.converge(data.coarse_fit((part,), [begin], still, 10))
 
 
+@pytest.mark.slow
 def test_a_threshold_that_no_slope_leads_to_is_found_by_grid_scans() -> None:
     sweeps = [
         np.column_stack([1e4 + 9e3 * np.sin(2 * np.pi * (f + 0.05 * TIME) * TIME), np.full(len(TIME), 8e3)])
@@ -81,6 +82,7 @@ def test_between_two_sizes_of_commands_every_threshold_is_as_good() -> None:
     assert 2.5e3 < low <= 4e3 and 8e3 <= high < 12e3
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("most", [10.0, 0.05], ids=["to one side", "where a bound forbids it to the other"])
 def test_across_a_planar_arms_plane_a_tethers_end_is_looked_for_beside_the_plane(
     most: float, monkeypatch: pytest.MonkeyPatch

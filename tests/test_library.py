@@ -219,6 +219,7 @@ def modules() -> list[tuple[Path, ast.Module]]:
     ]
 
 
+@pytest.mark.slow
 def test_nothing_draws_from_a_global_generator_or_touches_pyplot() -> None:
     own = {"Generator", "default_rng", "SeedSequence", "BitGenerator", "PCG64", "Philox"}
     wrong = []

@@ -185,6 +185,7 @@ class Clock:
         return self.time
 
 
+@pytest.mark.slow
 def test_what_is_not_solved_in_time_falls_back_in_order() -> None:
     clock = Clock()
     own = NmpcController(NmpcSettings(deadline=5e-3, iterations=10, compiled=False), clock)

@@ -122,6 +122,7 @@ def test_three_effects_are_drawn_where_they_are_asked_for() -> None:
         assert len({e.name for e in effects}) == 3
 
 
+@pytest.mark.slow
 def test_effects_sit_in_random_places_and_some_act_alike_in_two() -> None:
     assert {e.location for r in many() for e in r.effects} >= {"hip", "knee", "maa", "baa", "foot", "base", "thigh"}
     alike = [name for r in many() for name, where, _ in findings(r.effects) if len(where) == 2]

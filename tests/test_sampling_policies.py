@@ -311,6 +311,7 @@ def test_it_balances_and_gives_the_same_bits() -> None:
     assert set(one.status) == {"sampled"}
 
 
+@pytest.mark.slow
 def test_it_balances_behind_a_dead_time_and_a_lag_that_it_knows() -> None:
     late = Model(CARTPOLE.robot, (TransportDelay("push", 0.025), FirstOrderLag("push", 0.02)))
     done = balanced(late, seconds=1.0)

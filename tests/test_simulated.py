@@ -79,6 +79,7 @@ def test_recordings_show_the_step_s_error_once_where_mujoco_made_them(noise: flo
     assert abs(shown - 1.0) < 0.01 + 3 * error and (noise == 0.0 or error < 0.2)
 
 
+@pytest.mark.slow
 def test_recordings_of_a_finer_step_show_as_much_of_it_as_their_own_step_has() -> None:
     # A step of first order has an error in proportion to it.
     for divided in (2, 8):

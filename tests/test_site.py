@@ -182,6 +182,7 @@ def test_the_page_of_effects_has_every_effect_with_its_sentence_and_confusions()
     assert re.search(r"named in \d+ of \d+; .*`supply_coupling` 1", entries["dead_zone"])
 
 
+@pytest.mark.slow
 def test_each_effect_has_a_figure_of_its_law_that_is_not_flat() -> None:
     figures = tool("effect_figures").figures()
     assert set(figures) == {f"effects/{name}.svg" for name in REGISTRY}
@@ -196,6 +197,7 @@ def test_each_effect_has_a_figure_of_its_law_that_is_not_flat() -> None:
     assert len(curves) == len(REGISTRY)  # two effects whose figures are the same are not shown
 
 
+@pytest.mark.slow
 def test_the_page_of_python_names_all_that_is_offered() -> None:
     import equimus_ctrl as eq
 
@@ -212,6 +214,7 @@ def test_the_page_of_python_names_all_that_is_offered() -> None:
         assert re.search(rf"\.{name}\}}<code>{name}</code> \|", more), name
 
 
+@pytest.mark.slow
 def test_signatures_show_defaults_and_not_what_makes_a_field() -> None:
     """With the extension of the site griffe makes signatures as ``inspect`` reads them from the classes."""
     griffe = pytest.importorskip("griffe")

@@ -178,6 +178,7 @@ STIFF = MjcfRobot("stiff", pendulum('damping="0.02" stiffness="5000"'))
 """A mode of 35 Hz that hardly anything damps, some 1.8 rad a control period."""
 
 
+@pytest.mark.slow
 def test_where_less_delay_is_worse_than_more_all_of_it_is_looked_at() -> None:
     plant, dynamics = MujocoPlant(Model(STIFF)), Dynamics(Model(STIFF))
     loop = Loop(dynamics.linear(np.zeros(1)), dynamics, Model(STIFF), plant.spec.control_dt)
@@ -303,6 +304,7 @@ def test_a_pole_that_falls_is_held_where_no_pid_of_the_cart_does() -> None:
         assert np.abs(upright(controller, 1e-3).position[-200:]).max() < 0.02
 
 
+@pytest.mark.slow
 def test_a_plan_catches_a_pole_that_the_regulator_lets_fall() -> None:
     """The force that the regulator asks for is beyond the limit; the plan knows that."""
     assert np.abs(upright(LqrController(), position=(0.0, 0.8)).position[-100:]).max() > 0.5
@@ -324,6 +326,7 @@ def test_what_falls_is_caught_from_a_share_of_where_limits_let_anything_catch_it
     assert Falls.of(a, b, 1, np.array([10.0]), np.inf * reach) is None, "nothing limits it"
 
 
+@pytest.mark.slow
 def test_limits_make_a_regulator_of_what_falls_slower_so_that_it_catches_it() -> None:
     """Where a pole on a cart begins a third of the way to where 10 N are too little, and a fixed bandwidth lets it fall."""
     plant = MujocoPlant(CARTPOLE, noise=1e-3)

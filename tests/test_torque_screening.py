@@ -222,6 +222,7 @@ def two_joints(damping: float = 0.0) -> MjcfRobot:
     return MjcfRobot("crane", head + drives)
 
 
+@pytest.mark.slow
 def test_friction_of_all_joints_is_one_law_with_its_own_size_at_each() -> None:
     robot = two_joints()
     real = Model(robot, (CoulombFriction("shoulder", 0.4), CoulombFriction("reach", 2.0)))
@@ -236,6 +237,7 @@ def test_friction_of_all_joints_is_one_law_with_its_own_size_at_each() -> None:
     assert part.values == pytest.approx({"shoulder.friction": 0.4, "reach.friction": 2.0}, rel=0.2)
 
 
+@pytest.mark.slow
 def test_what_is_far_behind_is_not_simulated() -> None:
     """A friction that is there is kept with its size as a guess; the pool is smaller, and what cannot be seen stays."""
     robot = two_joints()
