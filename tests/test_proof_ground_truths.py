@@ -47,7 +47,7 @@ from equimus_ctrl.proof.legs import (
 )
 from equimus_ctrl.proof.outside import OUTSIDE, Motion, acts_on
 from equimus_ctrl.proof.seal import canonical, opened, salt, salted, seal
-from equimus_ctrl.proof.store import Request, make_case, make_cases, open_truth
+from equimus_ctrl.proof.store import Request, make_case, make_cases, open_truth, redrawn
 from equimus_ctrl.proof.strength import excess
 from equimus_ctrl.robots.elastic.leg import nominal_leg
 from equimus_ctrl.types import Array
@@ -508,3 +508,14 @@ def test_workers_make_the_same_bits(tmp_path: Path) -> None:
     with on_this_computer(2) as two:
         seals = [m.seal for m in make_cases(together, range(2), two)]
     assert [m.seal for m in make_cases(alone, range(2), HERE)] == seals
+
+
+def test_a_leg_that_stays_in_its_stops_is_drawn_again(tmp_path: Path) -> None:
+    """A diagnosis refuses recordings of noise alone."""
+    request = Request(tmp_path, 30115105, None, 2, 6.0, excitation="poor")
+    first = request.source.draw(request.seed, 2)
+    _, clean = request.source.simulate(first)
+    assert max(np.ptp(own, axis=0).max() for own in clean) < 2e-3
+    found, moves, truth = request.ground_truth(2)
+    assert min(np.ptp(own, axis=0).min() for own in moves) > 0.02
+    assert found.effects != first.effects and redrawn(request, truth).effects == found.effects

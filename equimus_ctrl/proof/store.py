@@ -25,6 +25,8 @@ from typing import Any
 from equimus_ctrl.errors import ConfigError, SimulationDiverged
 from equimus_ctrl.executors.base import Executor
 from equimus_ctrl.models.model import Model
+from equimus_ctrl.preflight.findings import stops
+from equimus_ctrl.preflight.scatter import scatter_of
 from equimus_ctrl.proof.designs import DURATION, TRIALS
 from equimus_ctrl.proof.drawing import ATTEMPTS, Excess, GroundTruth, Kind, findings
 from equimus_ctrl.proof.leg_simulation import RATE
@@ -95,14 +97,18 @@ class Request:
         """
         for attempt in range(ATTEMPTS):
             # What flies apart was no robot, nor can that be judged which equations of motion cannot follow at any step
-            # that they take. Another is drawn, from a stream of its own.
+            # that they take, nor what does not move but for its noise. Another is drawn, from a stream of its own.
             found = self.source.draw(self.seed, case, self.kind, attempt)
             try:
                 driven, clean = self.source.simulate(found)
-                return driven, clean, truth_of(self.source, driven, clean)
+                shown = [scatter_of(recording) for recording in self.source.recorded(driven, clean)]
+                if not stops(self.model, shown):
+                    return driven, clean, truth_of(self.source, driven, clean)
             except SimulationDiverged:
                 continue
-        raise ConfigError(f"case {case} of seed {self.seed}: {ATTEMPTS} robots in turn diverged on these commands")
+        raise ConfigError(
+            f"case {case} of seed {self.seed}: {ATTEMPTS} robots in turn diverged on these commands, or did not move"
+        )
 
     def recordings(self, case: int) -> Path:
         """The folder that a diagnosis is given."""
