@@ -18,6 +18,7 @@ from equimus_ctrl.engines.mjcf import simulate_mjcf
 from equimus_ctrl.engines.trials import Trial
 from equimus_ctrl.errors import ConfigError, SimulationDiverged
 from equimus_ctrl.models.model import Model, nominal_model
+from equimus_ctrl.proof import store
 from equimus_ctrl.proof.designs import TrialDesign
 from equimus_ctrl.proof.drawing import Excess, GroundTruth, noise
 from equimus_ctrl.proof.mjcf import Experiment
@@ -170,7 +171,7 @@ def test_a_robot_that_no_fit_can_follow_is_drawn_again(
 ) -> None:
     class Wild(Experiment):
         def simulate(self, ground_truth: GroundTruth) -> tuple[GroundTruth, list[Array]]:
-            return ground_truth, []
+            return ground_truth, [np.zeros_like(own) for own in noise(ground_truth)]
 
         def excess(
             self, ground_truth: GroundTruth, clean: Sequence[Array], effects: Sequence[Effect] = (), refit: bool = True
@@ -179,6 +180,7 @@ def test_a_robot_that_no_fit_can_follow_is_drawn_again(
                 raise SimulationDiverged("too stiff")
             return Excess(1.0, (1.0,), {})
 
+    monkeypatch.setattr(store, "stops", lambda model, scatter: [])  # they do not move
     request = Request.of_mjcf(tmp_path, 3, None, Wild(pendulum.model, pendulum.recordings))
     found, _, truth = request.ground_truth(1)
     assert found.robot.parameters() == pendulum.draw(3, 1, attempt=1).robot.parameters()
