@@ -36,7 +36,7 @@ def report_fingerprint(further: bool = False) -> str:
     Args:
         further: whether designed trials may follow, see ``answer``.
     """
-    return fingerprint(_settings(further))
+    return fingerprint(repr(SETTINGS), _parts(further))
 
 
 def further_fingerprint() -> str:
@@ -50,11 +50,12 @@ def baselines_fingerprint(further: bool = False) -> str:
     Args:
         further: the same.
     """
-    return fingerprint(_settings(further), (*PARTS, *BASELINES))
+    return fingerprint(repr(SETTINGS), (*_parts(further), *BASELINES))
 
 
-def _settings(further: bool) -> str:
-    return repr((SETTINGS, "experiments.loop.held_out")) if further else repr(SETTINGS)
+def _parts(further: bool) -> Sequence[str]:
+    """With what says what is held out beside designed trials."""
+    return (*PARTS, "experiments.loop") if further else PARTS
 
 
 def answer(
