@@ -5,7 +5,7 @@ and all trials are diagnosed again. What a diagnosis no longer leaves is fitted 
 by how much the trial spoke against it, and whether that is what was predicted.
 
 Designed trials are fitted but for their ends, which are held out: the search decides between explanations by what is
-fitted, and what a trial was designed to show is confirmed by trials that show it.
+fitted, and recordings from before hardly show what a trial was designed to show, so they cannot judge it.
 """
 
 from __future__ import annotations
