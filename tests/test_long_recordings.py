@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from pendulum_runs import MOTOR, PENDULUM
 
-from equimus_ctrl.diagnosis import holdout
+from equimus_ctrl.diagnosis import holdout, intervals
 from equimus_ctrl.diagnosis.holdout import split
 from equimus_ctrl.diagnosis.intervals import Longest
 from equimus_ctrl.models.model import Model
@@ -45,7 +45,7 @@ def test_the_fastest_interval_of_a_recording_is_fitted_and_slower_ones(monkeypat
 def test_whole_trials_are_cut_where_they_last_too_long(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(holdout, "MOST_TIME", 20.0)
     asked: list[bool] = []
-    monkeypatch.setattr(holdout, "longest_interval", lambda *a, whole: asked.append(whole) or Longest(None))
+    monkeypatch.setattr(intervals, "longest_interval", lambda *a, whole: asked.append(whole) or Longest(None))
     parts = split(MODEL, [still("a", 40.0), still("b", 40.0)])
     assert asked == [False]
     lengths = [s.trial.sample_times[-1] - s.trial.start for s in parts.train]

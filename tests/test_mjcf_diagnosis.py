@@ -12,7 +12,7 @@ import pytest
 from pendulum_runs import CARRIAGE, MOTOR, NOISE, PENDULUM, SERVO, recorded
 
 from equimus_ctrl import workflow
-from equimus_ctrl.diagnosis import holdout
+from equimus_ctrl.diagnosis import intervals
 from equimus_ctrl.diagnosis.alternatives import in_place, indistinguishable
 from equimus_ctrl.diagnosis.candidates import candidates
 from equimus_ctrl.diagnosis.confirmation import _another
@@ -422,7 +422,7 @@ def test_intervals_are_chosen_with_the_engine_that_was_asked_for(
     def choosing(model: Model, trials: object, window: object, simulator: Simulator, whole: bool = True) -> float:
         raise Chosen(simulator.engine.name, simulator.threads)
 
-    monkeypatch.setattr(holdout, "longest_interval", choosing)
+    monkeypatch.setattr(intervals, "longest_interval", choosing)
     folder = Path(__file__).parent.parent / "docs" / "examples" / "pendulum"
     model = workflow.load_model(folder.with_suffix(".xml"))
     with pytest.raises(Chosen) as said:

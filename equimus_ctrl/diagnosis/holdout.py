@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from equimus_ctrl.diagnosis.intervals import longest_interval, motion_length
+from equimus_ctrl.diagnosis.intervals import intervals_of, motion_length
 from equimus_ctrl.engines.predict import check_columns
 from equimus_ctrl.errors import ConfigError, unknown_name
 from equimus_ctrl.identification.parameters import FreeParameters, place_unit
@@ -67,6 +67,7 @@ class Holdout:
             validation.
         last: those of ``ends`` of which the last part is for the test, half of ``LAST``.
         share: of each of ``ends`` that is held out.
+        apart: trials whose shooting intervals are as long as each by itself allows; of the others all are alike.
     """
 
     validation: frozenset[int] = frozenset()
@@ -75,6 +76,7 @@ class Holdout:
     ends: frozenset[int] = frozenset()
     last: frozenset[int] = frozenset()
     share: float = LAST
+    apart: frozenset[int] = frozenset()
 
     def differs(self, other: Holdout) -> bool:
         """Whether other trials are fitted than with another, or other parts of them."""
@@ -253,15 +255,14 @@ def split(
     """
     until, given = (until, False) if heldout is None else (None, True)
     heldout = _checked_holdout(model, recordings, validation, test, until, window, groups, heldout, still)
-    short = not model.robot.traits.held_in_place
+    shoots, short = [shoot] * len(recordings), not model.robot.traits.held_in_place
     if short:
         long = _too_long(recordings, heldout, until, window)
         if shoot is None:
-            counted = [r for k, r in enumerate(recordings) if k not in heldout.test]
-            longest = longest_interval(model, counted, window, simulator and simulator(), whole=not long)
-            shoot, short = longest.length, not longest.steady
-        shoot = min(shoot or math.inf, ENOUGH) if long else shoot
-    parts = _grouped(_parted(model, recordings, heldout, until, window, shoot, short), groups)
+            follow = simulator and simulator()
+            shoots, short = intervals_of(model, recordings, heldout.apart, heldout.test, window, follow, not long)
+        shoots = [min(own or math.inf, ENOUGH) if long else own for own in shoots]
+    parts = _grouped(_parted(model, recordings, heldout, until, window, shoots, short), groups)
     if given and not parts.validation:
         raise ConfigError(f"nothing is held out that has {LEAST_SAMPLES} samples, too few to judge by")
     if until is not None and not parts.validation:
@@ -272,7 +273,7 @@ def split(
     if not heldout.other:
         return parts
     instead = replace(heldout, validation=heldout.other)
-    other = _parted(model, recordings, instead, until, window, shoot, short)
+    other = _parted(model, recordings, instead, until, window, shoots, short)
     return replace(parts, other=_grouped(other, groups))
 
 
@@ -393,7 +394,7 @@ def _parted(
     heldout: Holdout,
     until: float | None,
     window: tuple[float, float] | None,
-    shoot: float | None,
+    shoots: Sequence[float | None],
     short: bool,
 ) -> Split:
     """Recordings split, see ``split``; ``short`` asks for short segments too."""
@@ -404,21 +405,22 @@ def _parted(
         low, high = _span(r, window)
         if k in heldout.validation or k in heldout.test:
             into = test if k in heldout.test else validation
-            into += _cut(model, r, k, (low, high), shoot)
+            into += _cut(model, r, k, (low, high), shoots[k])
             continue
         edges = _edges(r, k, (low, high), heldout, until)
         if edges[0] > low:
-            train += _cut(model, r, k, (low, edges[0]), shoot, fit_start=True)
+            train += _cut(model, r, k, (low, edges[0]), shoots[k], fit_start=True)
         for begin, end, into in zip(edges[:-1], edges[1:], (validation, test)[: len(edges) - 1], strict=True):
             if _samples(r, begin, end) >= LEAST_SAMPLES:
-                into += _cut(model, r, k, (float(np.nextafter(begin, high)), end), shoot)
+                into += _cut(model, r, k, (float(np.nextafter(begin, high)), end), shoots[k])
     if not train:
         raise ConfigError("every trial is held out, so there is nothing to fit; hold out fewer")
     short_segments: list[Segment] = []
     if model.robot.traits.held_in_place:
         return Split(tuple(train), tuple(validation), tuple(test), (), len(train))
     chosen = _some(train, len(recordings[0].joints))
-    if short and (length := motion_length(model, chosen)) < (shoot or math.inf):
+    longest = max(shoots[s.recording] or math.inf for s in chosen)
+    if short and (length := motion_length(model, chosen)) < longest:
         spans = [(s.recording, (float(s.trial.sample_times[0]), float(s.trial.sample_times[-1]))) for s in chosen]
         short_segments = [s for k, span in spans for s in _cut(model, recordings[k], k, span, length, fit_start=True)]
     return Split(tuple(chosen), tuple(validation), tuple(test), tuple(short_segments), len(train))

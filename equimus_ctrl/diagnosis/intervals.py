@@ -7,7 +7,7 @@ however long an interval is, and short ones would only give the measured states 
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -100,6 +100,40 @@ def longest_interval(
             "check the signs and units of the commands, masses, inertias and the physics step"
         )
     return Longest(LENGTHS[-1])
+
+
+def intervals_of(
+    model: Model,
+    recordings: Sequence[Recording],
+    apart: Collection[int] = (),
+    but: Collection[int] = (),
+    window: tuple[float, float] | None = None,
+    simulator: Simulator | None = None,
+    whole: bool = True,
+) -> tuple[list[float | None], bool]:
+    """How long the shooting intervals of each recording are [s], and whether short ones would tell more of any.
+
+    Args:
+        model: as in ``longest_interval``, as are the others.
+        recordings: what was measured.
+        apart: places of those whose intervals are as long as each by itself allows; of the others all are alike.
+        but: of those that have no say.
+        window: (from, to) of each trial that counts at all [s].
+        simulator: that follows it.
+        whole: whether whole trials are tried too.
+
+    Raises:
+        SimulationDiverged: as there.
+    """
+    places = range(len(recordings))
+    together, alone = ([k for k in places if k not in but and (k in apart) is by_itself] for by_itself in (False, True))
+    found, steady = list[float | None]([None] * len(recordings)), True
+    for own in [*([together] if together else ()), *([k] for k in alone)]:
+        longest = longest_interval(model, [recordings[k] for k in own], window, simulator, whole=whole)
+        steady = steady and longest.steady
+        for k in (*own, *(but if own is together else ())):
+            found[k] = longest.length
+    return found, not steady
 
 
 def forgets(

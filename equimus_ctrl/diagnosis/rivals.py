@@ -63,7 +63,8 @@ class Rival(Short):
         information: (p, p) of the recordings so far, of parameters in units of their scale.
         deviance: −2 log likelihood of the recordings so far, without constant terms.
         noise: that its residuals have there, of every joint and other channel.
-        accepted: whether the diagnosis takes it for possible; else it is the nearest that there is to what has no name.
+        accepted: whether the diagnosis takes it for possible; else it is the nearest that there is to what has no name,
+            or fits better than what is named, though held-out trials do not confirm it.
         given: dotted names of parameters of its last effect that are given rather than estimated: it may hide beside
             what was found, at that size.
     """
@@ -309,7 +310,7 @@ class Rivals(Short):
     @property
     def named(self) -> tuple[Rival, ...]:
         """Those without what may only hide beside the first, see ``Rival.given``."""
-        return tuple(rival for rival in self.rivals if not rival.given)
+        return tuple(rival for rival in self.rivals if not (rival.given and rival.accepted))
 
     def simulator(self, threads: int | None = None) -> Simulator:
         """The engine that fits have, at the same step."""

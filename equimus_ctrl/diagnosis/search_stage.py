@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from itertools import chain
 
 from equimus_ctrl.diagnosis.budget import BudgetSpent
 from equimus_ctrl.diagnosis.confirmation import best_as_fitted
 from equimus_ctrl.diagnosis.fitting import Data
+from equimus_ctrl.diagnosis.known import Known, with_known
 from equimus_ctrl.diagnosis.refit import searched_from_short
 from equimus_ctrl.diagnosis.search import Search
 from equimus_ctrl.diagnosis.search_state import SearchState
@@ -26,21 +27,23 @@ def find_effects(state: State) -> State:
 
     A search begins with what measured torques ask for, where they say anything. Where residuals are large, a second
     search begins at the fit to short shooting intervals. After each step it is asked whether MuJoCo made the recordings
-    (``simulated``): then the search goes on without the error of its step. Of a budget it may take ``SEARCH_BUDGET``;
-    where that ends, what the search had come to is kept.
+    (``simulated``): then the search goes on without the error of its step. Where something is known from before that
+    fits better than the end, it goes on there (``known``). Of a budget it may take ``SEARCH_BUDGET``; where that ends,
+    what the search had come to is kept.
     """
     whole, reached = state.data.budget, _Reached()
     state = state.within(whole.share(SEARCH_BUDGET))
     search, end, made = replace(state.search, reached=reached), state.end, None
+    known = state.inputs.settings.known
     try:
-        steps: Iterator[SearchState] = chain([end], _begun_in_torques(search, end))
+        steps = _and_known(search, chain([end], _begun_in_torques(search, end)), known)
         while (now := next(steps, None)) is not None:
             end = now
             reached.forget()
             found = simulated(search, end) if made is None else made.holding(end)
             if found is not None:
                 made, search, end = found, found.search, found.end
-                steps = search.steps(end)
+                steps = _and_known(search, search.steps(end), known)
                 reached.forget()
         if made is not None:
             made = replace(made, end=end).settled()
@@ -103,6 +106,15 @@ def _begun_in_torques(search: Search, end: SearchState) -> Iterator[SearchState]
     for begun in search.begun_in_torques(end):
         yield begun
     yield from search.steps(begun)
+
+
+def _and_known(search: Search, steps: Iterator[SearchState], known: Sequence[Known]) -> Iterator[SearchState]:
+    """The steps of a search, and of one that goes on from its end at what is known, see ``with_known``."""
+    end: SearchState | None = None
+    for end in steps:
+        yield end
+    if end is not None and known:
+        yield from with_known(search, end, known)
 
 
 def _without_step(state: State, made: Simulated | None) -> State:

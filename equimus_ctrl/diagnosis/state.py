@@ -9,6 +9,7 @@ from equimus_ctrl.diagnosis.budget import Budget
 from equimus_ctrl.diagnosis.differences import AnotherUnit, Difference
 from equimus_ctrl.diagnosis.fitting import Data, Fitted
 from equimus_ctrl.diagnosis.holdout import Split
+from equimus_ctrl.diagnosis.known import Known
 from equimus_ctrl.diagnosis.policy import SearchSettings
 from equimus_ctrl.diagnosis.results import Decision, Equivalent, Named, Ranked, Rejected
 from equimus_ctrl.diagnosis.search import Search
@@ -47,6 +48,7 @@ class DiagnosisSettings:
         budget: how long it may take [s]; its best so far is given then. As long as it needs by default.
         thresholds: that decide.
         notes: what a person ought to know of recordings and model beforehand.
+        known: explanations that an earlier diagnosis of the same robot left: none that fits better is missed.
     """
 
     search: SearchSettings = field(default_factory=SearchSettings)
@@ -56,6 +58,7 @@ class DiagnosisSettings:
     budget: float | None = None
     thresholds: Thresholds = field(default_factory=Thresholds)
     notes: tuple[str, ...] = ()
+    known: tuple[Known, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)

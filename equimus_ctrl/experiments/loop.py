@@ -16,6 +16,7 @@ from dataclasses import asdict, dataclass, replace
 from typing import Any, Literal
 
 from equimus_ctrl.diagnosis.holdout import EVERY, LAST, Holdout, choose_holdout, end_of
+from equimus_ctrl.diagnosis.known import Known
 from equimus_ctrl.diagnosis.results import Diagnosis
 from equimus_ctrl.diagnosis.rivals import Rival, Rivals, refitted_to
 from equimus_ctrl.errors import SimulationDiverged
@@ -39,7 +40,7 @@ class Explanation:
         label: its effects and their places; with their sizes where these are given rather than estimated.
         behind: by how much its score, −2 ln L and Schwarz's cost of its parameters, is above that of the first.
         left: whether the diagnosis leaves it.
-        accepted: whether it was taken for possible; else it is the nearest that there is to what has no name.
+        accepted: whether it was taken for possible; else see ``Rival.accepted``.
     """
 
     label: str
@@ -92,6 +93,23 @@ def label_of(rival: Rival) -> str:
     return f"{rival.label} ({', '.join(sizes)})" if sizes else rival.label
 
 
+def known_from(before: Rivals | None) -> tuple[Known, ...]:
+    """Where a diagnosis with one trial more may begin: at each explanation that was left before it.
+
+    Args:
+        before: these; None where there was no diagnosis.
+    """
+    found = list[Known]()
+    if before is None:
+        return ()
+    for rival in before.rivals:
+        effects = iter(rival.model.effects[len(before.model.effects) :])
+        values = [(named, {at: next(effects).parameters() for at in named.locations}) for named in rival.effects]
+        names = [own.name for own in rival.parameters.free]
+        found.append(Known(tuple(values), dict(zip(names, map(float, rival.theta), strict=True))))
+    return tuple(found)
+
+
 def no_longer_left(before: Rivals | None, diagnosis: Diagnosis, now: Rivals) -> tuple[Rival, ...]:
     """The explanations from before a trial that a diagnosis with it does not leave, fitted to what it fitted.
 
@@ -111,6 +129,21 @@ def no_longer_left(before: Rivals | None, diagnosis: Diagnosis, now: Rivals) -> 
         except SimulationDiverged:  # nothing could speak against it more
             found.append(replace(rival, deviance=math.inf))
     return tuple(found)
+
+
+def with_better(now: Rivals, gone: Sequence[Rival]) -> tuple[Rivals, tuple[Rival, ...]]:
+    """The explanations that a diagnosis leaves and those that fit better than what it names, and the rest of the gone.
+
+    Held-out trials may not confirm what fits better. That excludes nothing: another trial has to decide.
+
+    Args:
+        now: that it leaves.
+        gone: that it does not, see ``no_longer_left``.
+    """
+    first = now.rivals[0].score(now.n)
+    better = [replace(own, accepted=False) for own in gone if own.score(now.n) < first]
+    rest = tuple(own for own in gone if own.score(now.n) >= first)
+    return (replace(now, rivals=(*now.rivals, *better)), rest) if better else (now, rest)
 
 
 def belief_of(now: Rivals, gone: Sequence[Rival] = ()) -> Belief:
@@ -229,7 +262,7 @@ def held_out(given: Sequence[Recording], designed: int, patterns: Sequence[str] 
     Of each designed trial it is the end: recordings from before hardly show what it was designed to show, so they can
     neither confirm nor reject it. Of so few of these that one is too much of what there is to hold it out whole, it is
     the ends too, unless one is too short for that, and from the first diagnosis on: what is fitted once stays fitted,
-    so a trial alone moves the likelihoods.
+    and cut as it was, so a trial alone moves the likelihoods.
 
     Args:
         given: the recordings from before, or the first trial where there were none.
@@ -240,9 +273,9 @@ def held_out(given: Sequence[Recording], designed: int, patterns: Sequence[str] 
         return None
     ends = frozenset(range(len(given), len(given) + designed))
     if len(given) < EVERY and all(end_of(own) is not None for own in given):
-        return Holdout(ends=ends | frozenset(range(len(given))))
+        return Holdout(ends=ends | frozenset(range(len(given))), apart=ends)
     found = choose_holdout([own.name for own in given])
-    return replace(found, ends=found.ends | ends)
+    return replace(found, ends=found.ends | ends, apart=ends)
 
 
 def fitted_share(patterns: Sequence[str] = ()) -> float:

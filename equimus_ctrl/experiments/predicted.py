@@ -15,6 +15,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from equimus_ctrl.diagnosis.holdout import end_of
+from equimus_ctrl.diagnosis.intervals import longest_interval
 from equimus_ctrl.diagnosis.rivals import Rivals
 from equimus_ctrl.engines.choice import MujocoEngine, simulation_of
 from equimus_ctrl.engines.predict import in_its_condition, robot_as_noted
@@ -122,10 +123,20 @@ def predicted_trials(
     """
     # Without noise, starts would seem to be as sure as parabolas are: those of the rivals' recordings tell.
     return [
-        cut(rivals.model, [own], window=(float(own.time[0]), _fitted_until(own, rivals.fitted)), shoot=rivals.interval,
-            fit_start=True, trust=rivals.trust)
+        cut(rivals.model, [own], window=(float(own.time[0]), _fitted_until(own, rivals.fitted)),
+            shoot=_interval(rivals, own, simulator), fit_start=True, trust=rivals.trust)
         for own in predicted_recordings(rivals, truth, commands, simulator)
     ]  # fmt: skip
+
+
+def _interval(rivals: Rivals, recording: Recording, simulator: Simulator) -> float | None:
+    """How long a recording's shooting intervals are going to be [s]; None where it is simulated whole."""
+    if rivals.model.robot.traits.held_in_place:
+        return rivals.interval
+    try:
+        return longest_interval(rivals.model, [recording], simulator=simulator).length
+    except SimulationDiverged:
+        return rivals.interval
 
 
 def _fitted_until(recording: Recording, share: float) -> float:

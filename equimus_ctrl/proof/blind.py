@@ -7,6 +7,7 @@ import math
 import sys
 import time
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 from threadpoolctl import threadpool_limits
@@ -16,10 +17,11 @@ from equimus_ctrl.diagnosis.diagnose import DiagnosisSettings, diagnose
 from equimus_ctrl.diagnosis.fitting import Data
 from equimus_ctrl.diagnosis.holdout import Split, split
 from equimus_ctrl.diagnosis.hypothesis import default_free_parameters
+from equimus_ctrl.diagnosis.known import Known
 from equimus_ctrl.diagnosis.results import Diagnosis
 from equimus_ctrl.diagnosis.rivals import Rivals
 from equimus_ctrl.errors import EquimusError
-from equimus_ctrl.experiments.loop import Predicted, held_out, no_longer_left, realised
+from equimus_ctrl.experiments.loop import Predicted, held_out, known_from, no_longer_left, realised, with_better
 from equimus_ctrl.identification.parameters import FreeParameters
 from equimus_ctrl.identification.simulators import reduced_simulator
 from equimus_ctrl.models.model import Model
@@ -117,24 +119,27 @@ def answer_with(
     keep_freed_memory()
     free = default_free_parameters(model)
     heldout = held_out(recordings[:first], len(recordings) - first)
-    said, found = _diagnosed(free, split(free.model, recordings, heldout=heldout))
+    was = Rivals.from_dict(before, model)
+    said, found = _diagnosed(free, split(free.model, recordings, heldout=heldout), known_from(was))
     became: list[Any] = []
     if found is not None:
-        was, now = Rivals.from_dict(before, model), found.rivals
         with threadpool_limits(limits=1, user_api="blas"):
-            gone = no_longer_left(was, found, now)
+            now, gone = with_better(found.rivals, no_longer_left(was, found, found.rivals))
+        said["rivals"] = now.to_dict()
         became = [own.to_dict() for own in realised(was, [Predicted.from_dict(own) for own in predicted], now, gone)]
     proof = {**said["proof"], **made, "fingerprint": further_fingerprint()}
     return as_text({**said, "realised": became, "proof": proof})
 
 
-def _diagnosed(free: FreeParameters, data: Split) -> tuple[dict[str, Any], Diagnosis | None]:
+def _diagnosed(
+    free: FreeParameters, data: Split, known: Sequence[Known] = ()
+) -> tuple[dict[str, Any], Diagnosis | None]:
     """The report, with what it took; one of a diagnosis that failed says so."""
     clock, processor = time.perf_counter(), time.process_time()
     said: dict[str, Any] = {}
     found, failed = None, ""
     try:
-        found = diagnose(free, data, settings=SETTINGS)
+        found = diagnose(free, data, settings=replace(SETTINGS, known=tuple(known)))
         said = found.to_dict()
     except Exception as error:  # a proof counts failures; it does not end with one
         failed = str(error) if isinstance(error, EquimusError) else f"{type(error).__name__}: {error}"

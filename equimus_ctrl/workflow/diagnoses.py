@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 from equimus_ctrl.diagnosis.budget import Asked, Budget, never
 from equimus_ctrl.diagnosis.diagnose import Progress, diagnose_within
 from equimus_ctrl.diagnosis.holdout import Holdout
+from equimus_ctrl.diagnosis.known import Known
 from equimus_ctrl.diagnosis.random_splits import random_holdouts
 from equimus_ctrl.diagnosis.results import Diagnosis
 from equimus_ctrl.models.model import Model, nominal_model
@@ -25,6 +28,7 @@ def diagnose(
     options: DiagnoseOptions | None = None,
     *,
     heldout: Holdout | None = None,
+    known: Sequence[Known] = (),
     progress: Progress = lambda stage, share, best: None,
     asked: Asked = never,
     **changes: Any,
@@ -36,6 +40,7 @@ def diagnose(
         model: the nominal leg by default.
         options: see ``DiagnoseOptions``.
         heldout: what is held out, in the place of what the options say.
+        known: explanations that an earlier diagnosis of the same robot left, see ``DiagnosisSettings``.
         progress: called with the stage, the share done and the best hypothesis so far.
         asked: whether its best so far is to be given now.
         **changes: of the options, one by one.
@@ -49,6 +54,7 @@ def diagnose(
 
     def diagnosed(heldout: Holdout | None, told: Progress) -> Diagnosis:
         free, parts, settings = prepared(given, options, budget, heldout)
+        settings = replace(settings, known=tuple(known))
         return diagnose_within(budget, free, parts, settings, nominal=model, progress=told)
 
     with budget.with_nothing_yet():

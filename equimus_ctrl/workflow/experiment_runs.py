@@ -40,11 +40,13 @@ from equimus_ctrl.experiments.loop import (
     fitted_share,
     held_out,
     hopeless,
+    known_from,
     label_of,
     no_longer_left,
     realised,
     why,
     why_not,
+    with_better,
     worth_making,
 )
 from equimus_ctrl.experiments.predicted import Commands
@@ -216,10 +218,9 @@ class _Bench:
         trials = [*self.given, *self.made]
         from_before = trials[: max(len(self.given), 1)]
         heldout = held_out(from_before, len(trials) - len(from_before), options.validation)
-        found = diagnose(trials, self.model, options, heldout=heldout, progress=progress)
+        found = diagnose(trials, self.model, options, heldout=heldout, known=known_from(before), progress=progress)
         progress("belief", 0.0, "")
-        now = found.rivals
-        gone = no_longer_left(before, found, now)
+        now, gone = with_better(found.rivals, no_longer_left(before, found, found.rivals))
         became = () if plan is None or before is None else realised(before, plan.predicted, now, gone)
         belief = belief_of(now, gone)
         presets.make_folder(here)
@@ -227,7 +228,7 @@ class _Bench:
             save_model(here / "corrected.toml", found.corrected, self.source)
         said = {"belief": belief.to_dict(), "realised": [own.to_dict() for own in became]}
         presets.write_text(here / "belief.json", presets.json_text(said))
-        presets.write_text(here / "diagnosis.json", presets.json_text(found.to_dict()))
+        presets.write_text(here / "diagnosis.json", presets.json_text({**found.to_dict(), "rivals": now.to_dict()}))
         step = Step.read(here, number, plan, self.model)
         assert step is not None
         return step
