@@ -21,11 +21,13 @@ from equimus_ctrl.experiments.loop import (
     fitted_share,
     held_out,
     hopeless,
+    known_from,
     label_of,
     no_longer_left,
     realised,
     why,
     why_not,
+    with_better,
     worth_making,
 )
 from equimus_ctrl.experiments.power import Power, margin
@@ -84,6 +86,30 @@ def test_what_a_diagnosis_no_longer_leaves_is_fitted_to_its_trials(diagnosis: Di
     assert gone.label == NOTHING and gone.deviance > now.rivals[0].deviance + 100
     assert no_longer_left(before, with_other(diagnosis), before) == ()
     assert no_longer_left(None, diagnosis, now) == ()
+
+
+def test_what_fits_better_than_what_is_named_stays_an_explanation() -> None:
+    now = of_a_pendulum()
+    first, second = now.rivals
+    other = replace(second, effects=(), deviance=first.deviance - 1e3)
+    after, gone = with_better(replace(now, rivals=(first,)), [replace(second, deviance=math.inf), other])
+    assert [own.label for own in after.rivals] == [first.label, NOTHING] and len(gone) == 1
+    assert after.rivals[1].deviance == other.deviance and not after.rivals[1].accepted
+    assert len(after.named) == 2  # so experiments do not end with one that is left
+    hidden = replace(other, effects=second.effects, given=("hinge.viscous_friction.damping",))
+    assert len(with_better(replace(now, rivals=(first,)), [hidden])[0].named) == 2
+    assert with_better(now, []) == (now, ())
+
+
+def test_a_diagnosis_begins_also_at_what_was_left_before() -> None:
+    before = of_a_pendulum()
+    dry, viscous = known_from(before)
+    ((named, values),) = dry.effects
+    (effect,) = before.rivals[0].model.effects
+    assert str(named) == before.rivals[0].label and values == {"hinge": effect.parameters()}
+    assert dry.parameters["arm.mass"] == before.rivals[0].theta[0]
+    assert set(viscous.effects[0][1]["hinge"]) == {"damping"}
+    assert known_from(None) == ()
 
 
 def test_a_gap_is_realised_by_what_the_trial_added() -> None:
@@ -173,12 +199,13 @@ def recorded(name: str, duration: float = 3.0) -> Recording:
 def test_of_designed_trials_the_end_is_held_out() -> None:
     many = [recorded(f"poor_{k}") for k in range(8)]
     usual = choose_holdout([own.name for own in many])
-    assert held_out(many, 0) == usual and held_out(many, 1) == replace(usual, ends=frozenset({8}))
+    assert held_out(many, 0) == usual and held_out(many, 1) == replace(usual, ends=frozenset({8}), apart=frozenset({8}))
     few = many[:2]
-    assert held_out(few, 0) == Holdout(ends=frozenset({0, 1})) and held_out(few, 2) == Holdout(ends=frozenset(range(4)))
+    assert held_out(few, 0) == Holdout(ends=frozenset({0, 1}))
+    assert held_out(few, 2) == Holdout(ends=frozenset(range(4)), apart=frozenset({2, 3}))
     assert held_out(few, 1, ["poor_*"]) is None
     short = [few[0], recorded("poor_1", 1.5)]  # of which the end is too short to judge by
-    assert held_out(short, 1) == Holdout(validation=frozenset({1}), ends=frozenset({2}))
+    assert held_out(short, 1) == Holdout(frozenset({1}), ends=frozenset({2}), apart=frozenset({2}))
     assert fitted_share() == 0.75 and fitted_share(["poor_*"]) == 1
 
 

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from mjcf_models import DT, RIG, RK4, M, Ran, cart, run, swinging, trial_of
 
-from equimus_ctrl.diagnosis.intervals import longest_interval
+from equimus_ctrl.diagnosis.intervals import intervals_of, longest_interval
 from equimus_ctrl.effects import (
     ActuatorGain,
     AsymmetricDamping,
@@ -376,6 +376,17 @@ def test_whole_trials_are_compared_where_a_model_can_follow_them() -> None:
     off = Model(robot.with_parameters({"arm.com_z": -0.15}))
     length = longest_interval(off, [recording], None).length
     assert length is not None and 0.5 <= length < 3.0
+
+
+def test_a_recording_may_be_cut_as_it_alone_allows() -> None:
+    robot = hung('damping="0.1"')
+    off, still = Model(robot.with_parameters({"arm.com_z": -0.17})), recorded(robot)
+    short = replace(still, time=still.time[:200], command=still.command[:200], position=still.position[:200])
+    own, other = (longest_interval(off, [one]).length for one in (still, short))
+    both, _ = intervals_of(off, [still, short])
+    assert both[0] == both[1] and len({own, other, both[0]}) == 3
+    assert intervals_of(off, [still, short], apart={1})[0] == [own, other]
+    assert intervals_of(off, [still, short], but={0})[0] == [other, other]
 
 
 def test_a_model_that_diverges_in_the_shortest_windows_is_told() -> None:
