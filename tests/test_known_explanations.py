@@ -28,7 +28,7 @@ MASS = {"arm.mass": 0.6}
 
 
 def known(effect: str, **values: float) -> Known:
-    return Known(((Named(effect, ("hinge",)), {"hinge": values}),), MASS)
+    return Known(((Named(effect, ("hinge",)), {"hinge": values}),), MASS, ARM)
 
 
 DRY, WET = known("coulomb_friction", friction=0.08), known("viscous_friction", damping=0.08)
@@ -58,7 +58,7 @@ def test_what_is_known_and_fits_better_is_where_the_search_goes_on(begun: tuple[
 def test_what_is_known_but_fits_no_better_changes_nothing(begun: tuple[Search, SearchState]) -> None:
     search, end = begun
     (best,) = with_known(search, end, [DRY])
-    assert list(with_known(search, best, [WET, Known((), MASS)])) == []
+    assert list(with_known(search, best, [WET, Known((), MASS, ARM)])) == []
     assert list(with_known(search, end, [])) == []
 
 
@@ -73,7 +73,7 @@ def test_the_model_without_effects_may_fit_better_than_its_refit(begun: tuple[Se
     data = search.data
     heavy = data.theta_of(np.array([1.2]), ())
     poor = data.coarse_fit((), [(heavy, [s.start for s in data.segments])], end.base.noise, 0)
-    (after,) = with_known(search, begun_at(poor), [Known((), MASS)])
+    (after,) = with_known(search, begun_at(poor), [Known((), MASS, ARM)])
     assert after.best.label == "no missing physics" and after.base is after.best
     assert after.best.deviance < poor.deviance
 
@@ -83,7 +83,7 @@ def test_a_law_with_its_own_sizes_is_its_parts_where_a_pool_has_only_these() -> 
     alone = [Candidate(friction, (place,), ()) for place in ("hip", "knee")]
     both = Candidate(friction, ("hip", "knee"), (), each=True)
     own = {"hip": {"friction": 0.1}, "knee": {"friction": 0.2}}
-    each = Known(((Named("coulomb_friction", ("hip", "knee"), each=True), own),), {})
+    each = Known(((Named("coulomb_friction", ("hip", "knee"), each=True), own),), {}, ARM)
     parts = hypothesis_of(each, alone)
     assert parts is not None
     assert [(p.candidate.locations, dict(p.values)) for p in parts] == [
@@ -92,5 +92,5 @@ def test_a_law_with_its_own_sizes_is_its_parts_where_a_pool_has_only_these() -> 
     (whole,) = hypothesis_of(each, [*alone, both]) or ()
     assert whole.candidate is both and dict(whole.values) == {"hip.friction": 0.1, "knee.friction": 0.2}
     # One size at both is another law than two sizes.
-    assert hypothesis_of(Known(((Named("coulomb_friction", ("hip", "knee")), own),), {}), alone) is None
+    assert hypothesis_of(Known(((Named("coulomb_friction", ("hip", "knee")), own),), {}, ARM), alone) is None
     assert hypothesis_of(known("viscous_friction", damping=0.1), alone) is None

@@ -232,6 +232,7 @@ def split(
     groups: Sequence[str] = (),
     heldout: Holdout | None = None,
     still: bool = False,
+    known: Model | None = None,
 ) -> Split:
     """Decide which trials are fitted, which are for validation and which for the test.
 
@@ -248,6 +249,7 @@ def split(
         groups: of each recording the group that it belongs to, such as a unit of the robot; none by default.
         heldout: what is held out, in the place of what these patterns and ``until`` say.
         still: whether joints and commands may never move.
+        known: what the robot is taken to be by now, for how long trials apart can be followed (``Holdout.apart``).
 
     Raises:
         ConfigError: where recordings cannot be used, a pattern fits none, the window is none, ``until`` or ``heldout``
@@ -260,7 +262,9 @@ def split(
         long = _too_long(recordings, heldout, until, window)
         if shoot is None:
             follow = simulator and simulator()
-            shoots, short = intervals_of(model, recordings, heldout.apart, heldout.test, window, follow, not long)
+            shoots, short = intervals_of(
+                model, recordings, heldout.apart, heldout.test, window, follow, not long, known
+            )
         shoots = [min(own or math.inf, ENOUGH) if long else own for own in shoots]
     parts = _grouped(_parted(model, recordings, heldout, until, window, shoots, short), groups)
     if given and not parts.validation:

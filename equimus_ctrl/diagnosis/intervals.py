@@ -110,6 +110,7 @@ def intervals_of(
     window: tuple[float, float] | None = None,
     simulator: Simulator | None = None,
     whole: bool = True,
+    known: Model | None = None,
 ) -> tuple[list[float | None], bool]:
     """How long the shooting intervals of each recording are [s], and whether short ones would tell more of any.
 
@@ -121,6 +122,7 @@ def intervals_of(
         window: (from, to) of each trial that counts at all [s].
         simulator: that follows it.
         whole: whether whole trials are tried too.
+        known: the model by which those apart are judged; the same by default.
 
     Raises:
         SimulationDiverged: as there.
@@ -128,8 +130,11 @@ def intervals_of(
     places = range(len(recordings))
     together, alone = ([k for k in places if k not in but and (k in apart) is by_itself] for by_itself in (False, True))
     found, steady = list[float | None]([None] * len(recordings)), True
-    for own in [*([together] if together else ()), *([k] for k in alone)]:
-        longest = longest_interval(model, [recordings[k] for k in own], window, simulator, whole=whole)
+    for own in [together, *([k] for k in alone)]:
+        if not own:
+            continue
+        by, follow = (model, simulator) if own is together or known is None else (known, None)
+        longest = longest_interval(by, [recordings[k] for k in own], window, follow, whole=whole)
         steady = steady and longest.steady
         for k in (*own, *(but if own is together else ())):
             found[k] = longest.length

@@ -18,6 +18,7 @@ from equimus_ctrl.diagnosis.search import Search
 from equimus_ctrl.diagnosis.search_state import SearchState, begun_at
 from equimus_ctrl.errors import ConfigError, SimulationDiverged
 from equimus_ctrl.identification.noise import white_noise
+from equimus_ctrl.models.model import Model
 from equimus_ctrl.types import Array
 
 
@@ -28,10 +29,12 @@ class Known:
     Attributes:
         effects: each with the values of its parameters at each of its places.
         parameters: of the model without them that were free, by dotted name, in the unit of each.
+        model: with both.
     """
 
     effects: tuple[tuple[Named, Mapping[str, Mapping[str, float]]], ...]
     parameters: Mapping[str, float]
+    model: Model
 
 
 def with_known(search: Search, end: SearchState, known: Sequence[Known]) -> Iterator[SearchState]:

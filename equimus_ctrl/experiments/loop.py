@@ -106,7 +106,7 @@ def known_from(before: Rivals | None) -> tuple[Known, ...]:
         effects = iter(rival.model.effects[len(before.model.effects) :])
         values = [(named, {at: next(effects).parameters() for at in named.locations}) for named in rival.effects]
         names = [own.name for own in rival.parameters.free]
-        found.append(Known(tuple(values), dict(zip(names, map(float, rival.theta), strict=True))))
+        found.append(Known(tuple(values), dict(zip(names, map(float, rival.theta), strict=True)), rival.model))
     return tuple(found)
 
 

@@ -134,7 +134,7 @@ def _interval(rivals: Rivals, recording: Recording, simulator: Simulator) -> flo
     if rivals.model.robot.traits.held_in_place:
         return rivals.interval
     try:
-        return longest_interval(rivals.model, [recording], simulator=simulator).length
+        return longest_interval(rivals.rivals[0].model, [recording], simulator=simulator).length
     except SimulationDiverged:
         return rivals.interval
 

@@ -120,7 +120,8 @@ def answer_with(
     free = default_free_parameters(model)
     heldout = held_out(recordings[:first], len(recordings) - first)
     was = Rivals.from_dict(before, model)
-    said, found = _diagnosed(free, split(free.model, recordings, heldout=heldout), known_from(was))
+    known = known_from(was)
+    said, found = _diagnosed(free, split(free.model, recordings, heldout=heldout, known=known[0].model), known)
     became: list[Any] = []
     if found is not None:
         with threadpool_limits(limits=1, user_api="blas"):

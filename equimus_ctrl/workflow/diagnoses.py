@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 from equimus_ctrl.diagnosis.budget import Asked, Budget, never
@@ -53,8 +52,7 @@ def diagnose(
     budget = Budget.beginning_now(options.budget, asked)
 
     def diagnosed(heldout: Holdout | None, told: Progress) -> Diagnosis:
-        free, parts, settings = prepared(given, options, budget, heldout)
-        settings = replace(settings, known=tuple(known))
+        free, parts, settings = prepared(given, options, budget, heldout, known)
         return diagnose_within(budget, free, parts, settings, nominal=model, progress=told)
 
     with budget.with_nothing_yet():

@@ -22,6 +22,7 @@ from equimus_ctrl.diagnosis.holdout import (
     split,
 )
 from equimus_ctrl.diagnosis.hypothesis import default_free_parameters
+from equimus_ctrl.diagnosis.known import Known
 from equimus_ctrl.diagnosis.policy import SearchSettings
 from equimus_ctrl.diagnosis.servo_gains import ServoGain, servo_gains, told, with_servo_gains
 from equimus_ctrl.engines.predict import check_columns
@@ -139,7 +140,7 @@ def require_meaning(findings: Sequence[Finding], anyway: bool) -> None:
 
 
 def prepared(
-    given: Given, options: DiagnoseOptions, budget: Budget, heldout: Holdout | None
+    given: Given, options: DiagnoseOptions, budget: Budget, heldout: Holdout | None, known: Sequence[Known] = ()
 ) -> tuple[FreeParameters, Split, DiagnosisSettings]:
     """What is free, the trials fitted and held out, and how a diagnosis goes; see ``diagnose``.
 
@@ -148,6 +149,7 @@ def prepared(
         options: see ``DiagnoseOptions``.
         budget: asked before each step that may take seconds.
         heldout: what is held out, in the place of what the options say.
+        known: explanations from before, the best first.
 
     Raises:
         EquimusError: where something given cannot be used.
@@ -177,7 +179,8 @@ def prepared(
         return simulator_of(options.engine, None, options.threads, model, trials)
 
     begun = chosen.model_at(chosen.start) if gains else model
-    parts = split(begun, trials, simulator=simulator, shoot=options.shoot, **said)
+    best = known[0].model if known else None
+    parts = split(begun, trials, simulator=simulator, shoot=options.shoot, known=best, **said)
     check_settings(chosen, parts)
     check_fitted(groups, parts.train)
     search = SearchSettings(most_parts=options.most)
@@ -195,6 +198,12 @@ def prepared(
         ),
     )
     settings = DiagnosisSettings(
-        search, options.threads, options.engine, tuple(options.exclude), options.budget, notes=notes
+        search,
+        options.threads,
+        options.engine,
+        tuple(options.exclude),
+        options.budget,
+        notes=notes,
+        known=tuple(known),
     )
     return chosen, parts, settings
