@@ -387,6 +387,8 @@ def test_a_recording_may_be_cut_as_it_alone_allows() -> None:
     assert both[0] == both[1] and len({own, other, both[0]}) == 3
     assert intervals_of(off, [still, short], apart={1})[0] == [own, other]
     assert intervals_of(off, [still, short], but={0})[0] == [other, other]
+    # What is known by now follows it farther.
+    assert intervals_of(off, [short, still], apart={1}, known=Model(robot))[0] == [other, None]
 
 
 def test_a_model_that_diverges_in_the_shortest_windows_is_told() -> None:
