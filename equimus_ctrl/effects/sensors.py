@@ -266,6 +266,7 @@ def sample(
     out: Array,
     before: float = 0.0,
     shown: float = np.nan,
+    faster: float = 0.0,
 ) -> None:
     """What a joint's sensor says at given times of a motion on a grid.
 
@@ -280,6 +281,7 @@ def sample(
         before: rate of the joint before the grid [rad/s]; by default it stood still.
         shown: what the sensor showed where the grid begins, as far as play lets it [rad]; nan where nobody knows: then
             the joint is in the middle of the play.
+        faster: by how much that rate grew before the grid [rad/s²].
     """
     n, play = len(q), sensor[PLAY]
     held, reached = q[0], 0
@@ -288,7 +290,8 @@ def sample(
     for k in range(len(times)):
         place = (times[k] - sensor[SENSOR_DELAY] - start) / dt
         if place <= 0.0:
-            angle = q[0] + before * place * dt
+            early = place * dt
+            angle = q[0] + early * (before + 0.5 * faster * early)
         else:
             step = min(int(place), n - 2)
             angle = hermite(q[step], v[step], q[step + 1], v[step + 1], dt, place - step)

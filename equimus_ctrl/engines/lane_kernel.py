@@ -115,7 +115,8 @@ def measure(
             if not together:
                 for s in range(n):
                     q[s], v[s] = grid[s, place + l], grid[s, speeds + l]
-                sample(q, v, start, dt, sensor[l, j], times, out[l, :, j], v[0] if moving else 0.0, shown[j])
+                before, faster = (v[0], (v[1] - v[0]) / dt) if moving else (0.0, 0.0)
+                sample(q, v, start, dt, sensor[l, j], times, out[l, :, j], before, shown[j], faster)
             if sound < n:
                 lost = start + (sound - 1) * dt + sensor[l, j, SENSOR_DELAY]
                 reached[l] = min(reached[l], np.searchsorted(times, lost, side="right"))
@@ -136,8 +137,10 @@ def measure_together(
             q, v = grid[s, place + l], grid[s, speeds + l]
             if at > 0.0:
                 angles[l] = hermite(q, v, grid[s + 1, place + l], grid[s + 1, speeds + l], dt, at - s)
+            elif moving:
+                angles[l] = q + at * (v * dt + 0.5 * (grid[1, speeds + l] - v) * dt * at)
             else:
-                angles[l] = q + (v if moving else 0.0) * at * dt
+                angles[l] = q
         for l in range(k):  # noqa: E741
             out[l, i, j] = read(sensor[l, j], angles[l])
 

@@ -266,11 +266,11 @@ def measured_of(own: Realised, path: Course, times: Array, trial: Trial | None =
     with np.errstate(all="ignore"):
         for j in range(nj):
             column = np.empty(len(times))
-            # A sensor with a delay shows what was before the start: there the joint moved as it does at the start.
+            # A sensor with a delay shows what was before the start: there the joint moved as it does from the start on.
             lead = math.ceil(own.sensor[j, SENSOR_DELAY] / path.dt) + 1 if own.sensor[j, SENSOR_DELAY] > 0 else 0
-            before = path.q[0, j] - path.v[0, j] * path.dt * np.arange(lead, 0, -1)
-            q = np.concatenate([before, path.q[:, j]])
-            v = np.concatenate([np.full(lead, path.v[0, j]), path.v[:, j]])
+            early, faster = -path.dt * np.arange(lead, 0, -1), (path.v[1, j] - path.v[0, j]) / path.dt
+            q = np.concatenate([path.q[0, j] + early * (path.v[0, j] + 0.5 * faster * early), path.q[:, j]])
+            v = np.concatenate([path.v[0, j] + faster * early, path.v[:, j]])
             shown = going[0][j] if going is not None else np.nan
             sample(q, v, path.start - lead * path.dt, path.dt, own.sensor[j], times, column, 0.0, shown)
             out[:, j] = column

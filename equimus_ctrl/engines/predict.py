@@ -193,10 +193,36 @@ def behind_all(models: Sequence[Model], shown: Sequence[Array], trials: Sequence
                 own[:, :nj] += ahead(sensor, np.sign(going[1][:nj] / sensor[:, :, SCALE]))
         true[..., nj:] /= sensor[:, : n - nj, SCALE]
         if n > nj and not traits.starts_at_rest:
-            true[..., :nj] += true[..., nj:] * sensor[:, :, SENSOR_DELAY]  # it has moved on since
+            for own, place in zip(true, places, strict=True):
+                own += _since(sensor, own, trials[place])
         for place, own in zip(places, true, strict=True):
             found[place] = own
     return found
+
+
+def _since(sensor: Array, true: Array, trial: Trial | None) -> Array:
+    """(k, 2 nj) by how much joints have moved on, and are faster, since what sensors with delays show at a start.
+
+    Inside a recording what was recorded later tells. Where nobody knows that they go on as they did.
+
+    Args:
+        sensor: (k, nj, 4), see ``effects.sensors.OFFSET``.
+        true: (k, 2 nj) positions and rates that are shown.
+        trial: that starts there; None where nobody knows it.
+    """
+    nj = sensor.shape[1]
+    late = sensor[:, :, SENSOR_DELAY]
+    moved = np.concatenate([true[:, nj:] * late, np.zeros_like(late)], axis=1)
+    if trial is None or trial.recorded is None or not late.any():
+        return moved
+    motion, last = trial.recorded.motion, trial.recorded.time[-1]
+    q, v, _ = motion.at(trial.start)
+    for k, j in zip(*np.nonzero(late), strict=True):
+        if trial.start + late[k, j] <= last:
+            later = motion.at(trial.start + late[k, j])
+            scale = sensor[k, j, SCALE]
+            moved[k, j], moved[k, nj + j] = (later[0][j] - q[j]) / scale, (later[1][j] - v[j]) / scale
+    return moved
 
 
 def check_columns(model: Model, recording: Recording) -> None:
