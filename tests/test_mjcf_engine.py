@@ -360,7 +360,8 @@ def test_a_window_of_a_late_sensor_begins_in_motion() -> None:
     both = [Simulator(engine_for(model, name), 1) for name in ("reduced", "mujoco")]
     found = [p for own in both for p in own([model], segments, [s.start[None, :] for s in segments])]
     for segment, predicted in zip(segments * 2, found, strict=True):
-        np.testing.assert_allclose(predicted.position[0], segment.measured, rtol=0, atol=1e-9)
+        # As exact as smoothing what was recorded, by which a start is led.
+        np.testing.assert_allclose(predicted.position[0], segment.measured, rtol=0, atol=1e-6)
 
 
 @pytest.mark.parametrize("start", [np.zeros(5), np.array([math.nan])], ids=["too long", "nan"])

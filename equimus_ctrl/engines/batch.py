@@ -17,7 +17,7 @@ from equimus_ctrl.effects.valves import ShapingEffect, shaped_commands
 from equimus_ctrl.engines.drive_forces import drive_forces
 from equimus_ctrl.engines.encoding import Encoded, grouped
 from equimus_ctrl.engines.hidden import Commands, first_activations, lead, led_states, with_unknown
-from equimus_ctrl.engines.lane_functions import LANES
+from equimus_ctrl.engines.lane_functions import LANES, SPED_UP, STOOD, WENT_ON
 from equimus_ctrl.engines.limits import MOST_DIVISOR
 from equimus_ctrl.engines.steps import warn_if_coarse
 from equimus_ctrl.engines.trials import Predicted, Trial, check_size
@@ -257,7 +257,7 @@ class _Block:
             np.ascontiguousarray(part[rows]) for part in (coded.parameters, coded.valve, coded.follow)
         )
         self.sensor = coded.sensors_of_coordinates(rows)
-        self.moving = not coded.models[0].robot.traits.starts_at_rest
+        self.at_rest = coded.models[0].robot.traits.starts_at_rest
         pairs = list(zip(coded.models[rows], coded.between[rows], strict=True))
         kinds = {shaping_of(*pair): pair for pair in pairs}
         self.shaped, order = list(kinds.values()), list(kinds)
@@ -307,7 +307,7 @@ class _Block:
             q,
             v,
             self.coded.rubbing,
-            self.moving,
+            np.array([STOOD if self.at_rest else WENT_ON if own.led is None else SPED_UP for own in trials]),
             self._shown(trials),
             start,
             dt,

@@ -34,6 +34,8 @@ from equimus_ctrl.engines.lane_functions import (
     ROW_RATE,
     ROW_START,
     ROW_X,
+    SPED_UP,
+    STOOD,
     Layout,
     lane_depths,
     lane_friction,
@@ -77,7 +79,7 @@ def measure(
     start: float,
     dt: float,
     sensor: Array,
-    moving: bool,
+    moving: int,
     shown: Array,
     times: Array,
     out: Array,
@@ -91,7 +93,7 @@ def measure(
         start: of the grid [s].
         dt: of the grid [s].
         sensor: (k, nj, 4), see ``effects.sensors.OFFSET``.
-        moving: whether joints moved before the start as they do there; else they stood still.
+        moving: how joints moved before the start, see ``STOOD``.
         shown: (nj,) what sensors showed at the start [rad or m]; nan where nobody knows.
         times: (m,) ascending [s].
         out: (k, m, nj) written: measured positions [rad or m].
@@ -115,7 +117,8 @@ def measure(
             if not together:
                 for s in range(n):
                     q[s], v[s] = grid[s, place + l], grid[s, speeds + l]
-                before, faster = (v[0], (v[1] - v[0]) / dt) if moving else (0.0, 0.0)
+                before = v[0] if moving > STOOD else 0.0
+                faster = (v[1] - v[0]) / dt if moving == SPED_UP else 0.0
                 sample(q, v, start, dt, sensor[l, j], times, out[l, :, j], before, shown[j], faster)
             if sound < n:
                 lost = start + (sound - 1) * dt + sensor[l, j, SENSOR_DELAY]
@@ -124,7 +127,7 @@ def measure(
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def measure_together(
-    robot: Layout, grid: Array, j: int, start: float, dt: float, sensor: Array, moving: bool, times: Array, out: Array
+    robot: Layout, grid: Array, j: int, start: float, dt: float, sensor: Array, moving: int, times: Array, out: Array
 ) -> None:
     """What ``effects.sensors.sample`` says of a joint in all lanes at once, of sensors with one delay and no play."""
     k, n = len(sensor), len(grid)
@@ -137,10 +140,10 @@ def measure_together(
             q, v = grid[s, place + l], grid[s, speeds + l]
             if at > 0.0:
                 angles[l] = hermite(q, v, grid[s + 1, place + l], grid[s + 1, speeds + l], dt, at - s)
-            elif moving:
-                angles[l] = q + at * (v * dt + 0.5 * (grid[1, speeds + l] - v) * dt * at)
             else:
-                angles[l] = q
+                before = v if moving > STOOD else 0.0
+                faster = grid[1, speeds + l] - v if moving == SPED_UP else 0.0
+                angles[l] = q + at * dt * (before + 0.5 * faster * at)
         for l in range(k):  # noqa: E741
             out[l, i, j] = read(sensor[l, j], angles[l])
 
@@ -180,7 +183,7 @@ def run_trials(
     q0: Array,
     v0: Array,
     rubbing: Array,
-    moving: bool,
+    moving: NDArray[np.int64],
     shown: Array,
     start: Array,
     dt: float,
@@ -208,7 +211,7 @@ def run_trials(
         q0: (trials, k, nj) positions at the starts [rad or m].
         v0: (trials, k, nj) velocities there [rad/s or m/s].
         rubbing: rows where any has dry friction.
-        moving: whether joints moved before the start as they do there; else they stood still.
+        moving: (trials,) how joints moved before the starts, see ``STOOD``.
         shown: (trials, nj) what sensors showed at the starts [rad or m]; nan where nobody knows.
         start: (trials,) of the motion [s].
         dt: physics step [s].
@@ -253,7 +256,7 @@ def run_trials(
             put_hidden(robot, w, hidden[trial])
         run_lanes(robot, w, own, dt, rubbing, grid[: n + 1])
         own_out, own_reached = out[:, low:high], reached[trial]
-        measure(robot, grid[: n + 1], at, dt, sensor, moving, shown[trial], sampled, own_out, own_reached)
+        measure(robot, grid[: n + 1], at, dt, sensor, moving[trial], shown[trial], sampled, own_out, own_reached)
         if motion.shape[1] > 0:
             measure_inner(robot, grid[: n + 1], at, dt, sampled, motion[:, low:high])
 

@@ -266,9 +266,11 @@ def measured_of(own: Realised, path: Course, times: Array, trial: Trial | None =
     with np.errstate(all="ignore"):
         for j in range(nj):
             column = np.empty(len(times))
-            # A sensor with a delay shows what was before the start: there the joint moved as it does from the start on.
+            # A sensor with a delay shows what was before the start: there the joint moved as fast as it does at the
+            # start, and inside a recording as it goes on from there.
             lead = math.ceil(own.sensor[j, SENSOR_DELAY] / path.dt) + 1 if own.sensor[j, SENSOR_DELAY] > 0 else 0
-            early, faster = -path.dt * np.arange(lead, 0, -1), (path.v[1, j] - path.v[0, j]) / path.dt
+            inside, early = trial is not None and trial.led is not None, -path.dt * np.arange(lead, 0, -1)
+            faster = (path.v[1, j] - path.v[0, j]) / path.dt if inside else 0.0
             q = np.concatenate([path.q[0, j] + early * (path.v[0, j] + 0.5 * faster * early), path.q[:, j]])
             v = np.concatenate([path.v[0, j] + faster * early, path.v[:, j]])
             shown = going[0][j] if going is not None else np.nan
