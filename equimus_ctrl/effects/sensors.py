@@ -19,6 +19,8 @@ from equimus_ctrl.types import Array
 
 OFFSET, SCALE, SENSOR_DELAY, PLAY = 0, 1, 2, 3
 """A joint's sensor (4,): offset [rad], scale, delay [s] and play [rad]; of a slide with m in the place of rad."""
+STOOD, WENT_ON, SPED_UP = 0, 1, 2
+"""How a joint moved before a start: not at all, as fast as there, or as it goes on from there."""
 
 
 @dataclass(frozen=True)

@@ -12,12 +12,12 @@ from numpy.typing import NDArray
 from equimus_ctrl import computer
 from equimus_ctrl.effects.bodies import changed_bodies
 from equimus_ctrl.effects.following import FOLLOW_KIND, arrived
-from equimus_ctrl.effects.sensors import PLAY
+from equimus_ctrl.effects.sensors import PLAY, SPED_UP, STOOD, WENT_ON
 from equimus_ctrl.effects.valves import ShapingEffect, shaped_commands
 from equimus_ctrl.engines.drive_forces import drive_forces
 from equimus_ctrl.engines.encoding import Encoded, grouped
 from equimus_ctrl.engines.hidden import Commands, first_activations, lead, led_states, with_unknown
-from equimus_ctrl.engines.lane_functions import LANES, SPED_UP, STOOD, WENT_ON
+from equimus_ctrl.engines.lane_functions import LANES
 from equimus_ctrl.engines.limits import MOST_DIVISOR
 from equimus_ctrl.engines.steps import warn_if_coarse
 from equimus_ctrl.engines.trials import Predicted, Trial, check_size

@@ -32,8 +32,6 @@ _Function = TypeVar("_Function", bound=Callable[..., Any])
 Layout = NDArray[np.int64]
 """(``LENGTH``,) of a structure with its laws, indexed by what follows."""
 
-STOOD, WENT_ON, SPED_UP = 0, 1, 2
-"""How joints moved before a start: not at all, as fast as there, or as they go on from there."""
 LANES = 8
 """As many doubles as the widest vector registers hold."""
 

@@ -13,7 +13,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from equimus_ctrl.effects.sensors import PLAY, SENSOR_DELAY, hermite, inner, read, sample
+from equimus_ctrl.effects.sensors import PLAY, SENSOR_DELAY, SPED_UP, STOOD, hermite, inner, read, sample
 from equimus_ctrl.engines.lane_begin import begin_trial, prepared, same_as_previous
 from equimus_ctrl.engines.lane_dry_friction import correct_friction as correct_friction
 from equimus_ctrl.engines.lane_functions import (
@@ -34,8 +34,6 @@ from equimus_ctrl.engines.lane_functions import (
     ROW_RATE,
     ROW_START,
     ROW_X,
-    SPED_UP,
-    STOOD,
     Layout,
     lane_depths,
     lane_friction,
