@@ -148,10 +148,11 @@ def redundant_parts(
     """Places of parts that residual forces make redundant, with the reasons.
 
     A part is confounded with a force beside which it explains nothing more; or a force in its place explains as much
-    as the part and the strongest remaining force together; or, where forces remain, it strains its law; or one
-    says that its law is another, see ``_generalised``. With F the fall of χ² by a part, fitted, and g the gain of the
-    strongest remaining force, a force replaces the part whose own gain is more than ``replaces_one``·(F + g); one that
-    depends on more than the part's law has to gain ``replaces_restated`` of that.
+    as the part and the strongest remaining force together; or it strains its law where forces remain, or where another
+    part is at a bound of its own, and so has no name; or one says that its law is another, see ``_generalised``. With F
+    the fall of χ² by a part, fitted, and g the gain of the strongest remaining force, a force replaces the part whose
+    own gain is more than ``replaces_one``·(F + g); one that depends on more than the part's law has to gain
+    ``replaces_restated`` of that.
 
     Args:
         data: what was measured.
@@ -171,8 +172,9 @@ def redundant_parts(
         for k, (fitted, fall) in enumerate(zip(without, falls, strict=True)):
             if _replaced_by_force(data, fitted, best, fall + forces[0].gain, lambda t: t.replaces_one, TRIED):
                 reasons.append((k, REPLACED))
-        reasons += [(k, DEGENERATE) for k in _degenerate(data, best)]
         reasons += [(k, GENERALISED) for force in forces for k in _generalised(data, best, falls, force)]
+    nameless = strained(data, best)
+    reasons += [(k, DEGENERATE) for k in _degenerate(data, best) if forces or set(nameless) - {k}]
     return {
         place: "; ".join(reason for k, reason in reasons if k == place) for place in sorted({k for k, _ in reasons})
     }
@@ -313,17 +315,17 @@ def chi2(data: Data, fitted: Fitted, noisy: Fitted) -> float:
     return chi_squared(noisy.noise, data.times, fitted.fit.residuals)
 
 
-def strained(data: Data, fitted: Fitted) -> bool:
-    """Whether a parameter of some effect ended at a bound where the effect does not vanish."""
-    first = len(data.free.free)
-    for part in fitted.hypothesis:
-        for i, own in enumerate(part.candidate.parameters):
-            side = int(fitted.fit.at_bound[first + i])
-            harmless = side < 0 and part.candidate.effect.parameter_info()[own.key]["low"] == 0.0
-            if side and not harmless:
-                return True
+def strained(data: Data, fitted: Fitted) -> list[int]:
+    """Places of parts of which a parameter ended at a bound where the effect does not vanish."""
+    first, found = len(data.free.free), list[int]()
+    for k, part in enumerate(fitted.hypothesis):
+        sides = fitted.fit.at_bound[first : first + part.candidate.n_parameters]
+        info = part.candidate.effect.parameter_info()
+        own = zip(sides, part.candidate.parameters, strict=True)
+        if any(side and not (side < 0 and info[p.key]["low"] == 0.0) for side, p in own):
+            found.append(k)
         first += part.candidate.n_parameters
-    return False
+    return found
 
 
 def _degenerate(data: Data, best: Fitted) -> list[int]:
