@@ -3,18 +3,21 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
 
+from equimus_ctrl.diagnosis import unexplained
 from equimus_ctrl.diagnosis.candidates import candidates
-from equimus_ctrl.diagnosis.fitting import Data
-from equimus_ctrl.diagnosis.hypothesis import Part, default_free_parameters
+from equimus_ctrl.diagnosis.fitting import Data, Fitted
+from equimus_ctrl.diagnosis.hypothesis import Candidate, Part, default_free_parameters
 from equimus_ctrl.diagnosis.residual_force import discard_unstable
 from equimus_ctrl.diagnosis.search import Search
 from equimus_ctrl.diagnosis.search_state import SearchHistory
 from equimus_ctrl.diagnosis.unexplained import ResidualAnalysis, residual_analysis
-from equimus_ctrl.effects.base import Effect, parse
+from equimus_ctrl.effects.base import REGISTRY, Effect, parse
 from equimus_ctrl.identification.segments import cut
 from equimus_ctrl.identification.simulators import reduced_simulator
 from equimus_ctrl.models.model import nominal_model
@@ -99,3 +102,36 @@ def test_responses_that_grew_without_bound_are_discarded() -> None:
     for told, given in zip(discard_unstable([first, second]), (first, second), strict=True):
         np.testing.assert_array_equal(told[:, :, [0, 2]], given[:, :, [0, 2]])
         np.testing.assert_array_equal(told[:, :, [1, 3]], 0.0)
+
+
+@pytest.mark.parametrize(
+    ("bounds", "rejected"),
+    [
+        ([0, 0, 0, 0, 0], []),
+        ([0, 0, 0, 1, 0], [0]),
+        ([1, 0, 0, 0, 0], []),
+        ([0, 0, -1, 0, 0], []),
+        ([0, 0, 0, -1, 0], [0]),
+    ],
+    ids=["all have a name", "the other at its bound", "itself alone", "no damping is none", "the other at its lower"],
+)
+def test_a_strained_law_is_believed_only_where_all_beside_it_has_a_name(
+    bounds: list[int], rejected: list[int], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    stop = Candidate(REGISTRY["joint_stop"], ("hip",), ())
+    stiffening = Candidate(REGISTRY["nonlinear_stiffness"], ("maa",), ())
+    parts = tuple(Part(own, {p.name: 1.0 for p in own.parameters}) for own in (stop, stiffening))
+    assert [p.name for own in parts for p in own.candidate.parameters] == [
+        "angle", "stiffness", "damping", "cubic", "centre"
+    ]  # fmt: skip
+    fit: Any = SimpleNamespace(at_bound=np.array([0, *bounds]))
+    best = Fitted(parts, fit, None, 0.0)  # type: ignore[arg-type]
+    traits = SimpleNamespace(held_in_place=False)
+    data: Any = SimpleNamespace(
+        free=SimpleNamespace(free=[None], model=SimpleNamespace(robot=SimpleNamespace(traits=traits)))
+    )
+    monkeypatch.setattr(unexplained, "chi2", lambda *given: 0.0)
+    monkeypatch.setattr(unexplained, "_degenerate", lambda *given: [0])
+    at: Any = SimpleNamespace(fitted=best)
+    found = unexplained.redundant_parts(data, at, [best, best], 0.0, [])
+    assert list(found) == rejected and all(reason == unexplained.DEGENERATE for reason in found.values())
