@@ -15,7 +15,7 @@ from equimus_ctrl.diagnosis.estimates import Named
 from equimus_ctrl.diagnosis.fitting import Data, Fitted
 from equimus_ctrl.diagnosis.hypothesis import Candidate, Hypothesis, Part, model_of
 from equimus_ctrl.diagnosis.search import Search
-from equimus_ctrl.diagnosis.search_state import SearchState, begun_at
+from equimus_ctrl.diagnosis.search_state import SearchHistory, SearchState, begun_at
 from equimus_ctrl.errors import ConfigError, SimulationDiverged
 from equimus_ctrl.identification.noise import white_noise
 from equimus_ctrl.models.model import Model
@@ -30,17 +30,21 @@ class Known:
         effects: each with the values of its parameters at each of its places.
         parameters: of the model without them that were free, by dotted name, in the unit of each.
         model: with both.
+        possible: whether it was one by itself; else it may have hidden beside what was found, or came near to what had
+            no name.
     """
 
     effects: tuple[tuple[Named, Mapping[str, Mapping[str, float]]], ...]
     parameters: Mapping[str, float]
     model: Model
+    possible: bool = True
 
 
 def with_known(search: Search, end: SearchState, known: Sequence[Known]) -> Iterator[SearchState]:
     """The steps of a search that goes on where one ended, or at what is known where that fits better.
 
-    What is known is fitted to what the search has; what it came to is kept unless the other one's end is better.
+    What is known is fitted to what the search has, as it is and with its effects in the places of the end's parts. What
+    the search came to is kept unless the other one's end is better; all fits are there to be listed beside it.
 
     Args:
         search: that ended.
@@ -51,13 +55,14 @@ def with_known(search: Search, end: SearchState, known: Sequence[Known]) -> Iter
         BudgetSpent: where the budget ends.
     """
     fits = _fitted(search, end, known)
-    tried = end.tried.having(*fits)
-    end = replace(end, tried=tried)
-    best = min(fits, key=search.score, default=end.best)
+    swapped, tried = _swapped(search, end, known)
+    end = replace(end, tried=tried.having(*fits))
+    yield end
+    best = min((*fits, *swapped), key=search.score, default=end.best)
     if not search.score(best) < search.score(end.best):
         return
     if not best.hypothesis:
-        yield replace(begun_at(best), tried=tried, stopped=end.stopped)
+        yield replace(begun_at(best), tried=end.tried, stopped=end.stopped)
         return
     if not search.accepts(end.base, best):
         return
@@ -69,6 +74,28 @@ def with_known(search: Search, end: SearchState, known: Sequence[Known]) -> Iter
         return
     if search.score(begun.best) < search.score(end.best):
         yield begun
+
+
+def _swapped(search: Search, end: SearchState, known: Sequence[Known]) -> tuple[list[Fitted], SearchHistory]:
+    """The end with effects of what was possible before in the places of its parts, one at a time.
+
+    Where fits have many local minima, that is seen from all that was fitted, see ``alternatives.in_place``.
+    """
+    tried, found, parts = end.tried, list[Fitted](), end.best.hypothesis
+    if search.settings.many_minima:
+        return found, tried
+    others = {
+        part.candidate.label: part
+        for one in known
+        if one.possible
+        for part in hypothesis_of(one, search.pool) or ()
+        if part.candidate.label not in end.best.labels and tried.allows([part.candidate])
+    }
+    for k in range(len(parts)):
+        for other in others.values():
+            more, tried = search.refitted(tried, end.best, (*parts[:k], *parts[k + 1 :], other))
+            found += more
+    return found, tried
 
 
 def _beginning(search: Search, end: SearchState, start: Fitted) -> SearchState:

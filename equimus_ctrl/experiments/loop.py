@@ -105,8 +105,8 @@ def known_from(before: Rivals | None) -> tuple[Known, ...]:
     for rival in before.rivals:
         effects = iter(rival.model.effects[len(before.model.effects) :])
         values = [(named, {at: next(effects).parameters() for at in named.locations}) for named in rival.effects]
-        names = [own.name for own in rival.parameters.free]
-        found.append(Known(tuple(values), dict(zip(names, map(float, rival.theta), strict=True)), rival.model))
+        parameters = dict(zip(rival.parameters.names, map(float, rival.theta), strict=True))
+        found.append(Known(tuple(values), parameters, rival.model, rival.accepted and not rival.given))
     return tuple(found)
 
 
