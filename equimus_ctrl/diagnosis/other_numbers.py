@@ -351,7 +351,13 @@ _ROWS: Mapping[str, tuple[Row, ...]] = {
         ("MOST_CHANGED", 30.0, "looked at", "convention", "factor by which a size changes from one round to the next"),
     ),
     "diagnosis.rivals": (
-        ("MOST_HIDDEN", 4, "told", "convention", "effects that may hide beside what was found"),
+        (
+            "MOST_HIDDEN",
+            4,
+            "told",
+            "convention",
+            "effects that may hide beside what was found, or fit better than what is named",
+        ),
         (
             "UNIFORM",
             12.0,

@@ -18,7 +18,7 @@ from typing import Any, Literal
 from equimus_ctrl.diagnosis.holdout import EVERY, LAST, Holdout, choose_holdout, end_of
 from equimus_ctrl.diagnosis.known import Known
 from equimus_ctrl.diagnosis.results import Diagnosis
-from equimus_ctrl.diagnosis.rivals import Rival, Rivals, refitted_to
+from equimus_ctrl.diagnosis.rivals import MOST_HIDDEN, Rival, Rivals, refitted_to
 from equimus_ctrl.errors import SimulationDiverged
 from equimus_ctrl.experiments.power import margin
 from equimus_ctrl.experiments.results import Pair
@@ -134,16 +134,18 @@ def no_longer_left(before: Rivals | None, diagnosis: Diagnosis, now: Rivals) -> 
 def with_better(now: Rivals, gone: Sequence[Rival]) -> tuple[Rivals, tuple[Rival, ...]]:
     """The explanations that a diagnosis leaves and those that fit better than what it names, and the rest of the gone.
 
-    Held-out trials may not confirm what fits better. That excludes nothing: another trial has to decide.
+    Held-out trials may not confirm what fits better. That excludes nothing: another trial has to decide. Of many the
+    best ``MOST_HIDDEN`` stay.
 
     Args:
         now: that it leaves.
         gone: that it does not, see ``no_longer_left``.
     """
     first = now.rivals[0].score(now.n)
-    better = [replace(own, accepted=False) for own in gone if own.score(now.n) < first]
-    rest = tuple(own for own in gone if own.score(now.n) >= first)
-    return (replace(now, rivals=(*now.rivals, *better)), rest) if better else (now, rest)
+    best = sorted((own for own in gone if own.score(now.n) < first), key=lambda own: own.score(now.n))[:MOST_HIDDEN]
+    rest = tuple(own for own in gone if own not in best)
+    stay = [replace(own, accepted=False) for own in best]
+    return (replace(now, rivals=(*now.rivals, *stay)), rest) if stay else (now, rest)
 
 
 def belief_of(now: Rivals, gone: Sequence[Rival] = ()) -> Belief:
