@@ -25,6 +25,7 @@ from equimus_ctrl.experiments.loop import (
     label_of,
     no_longer_left,
     realised,
+    unforeseen,
     why,
     why_not,
     with_better,
@@ -169,6 +170,16 @@ def test_what_is_named_is_hopeless_whatever_is_to_be_seen_beside_it() -> None:
     assert hopeless(["a", "b"], [one, beside]) == (one,)
     assert not hopeless(["a", "b", "c"], [one, beside])  # nothing is known of the third
     assert not hopeless(["a", "b"], [predicted(), beside]) and not hopeless(["a"], [one, beside])
+
+
+@pytest.mark.parametrize(
+    ("chance", "settled", "against"), [(0.96, False, True), (0.96, True, False), (0.9, False, False)]
+)
+def test_what_should_have_been_settled_and_is_not_speaks_against_all_explanations(
+    chance: float, settled: bool, against: bool
+) -> None:
+    one = Realised(predicted(chance=chance), 2.0, settled)
+    assert unforeseen([one]) == ((one,) if against else ())
 
 
 def test_nothing_to_tell_apart_is_worth_no_trial() -> None:

@@ -18,6 +18,7 @@ from equimus_ctrl.cli.main import main
 from equimus_ctrl.diagnosis.results import Diagnosis
 from equimus_ctrl.effects import CoulombFriction
 from equimus_ctrl.errors import ConfigError
+from equimus_ctrl.experiments.loop import Predicted, Realised
 from equimus_ctrl.experiments.power import Power
 from equimus_ctrl.experiments.predicted import Commands
 from equimus_ctrl.experiments.results import Pair
@@ -88,6 +89,20 @@ def before(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def run(folder: Path, before: Path, **options: Any) -> Any:
     return eq.run_experiments(folder, [before], **options)
+
+
+def test_a_trial_that_no_explanation_foresees_is_told(
+    bench: Bench, before: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    became = Realised(Predicted("a delay", "friction", 80.0, 60.0, 110.0, 0.99, 1.0), 3.0, settled=False)
+    monkeypatch.setattr(experiment_runs, "realised", lambda *given: (became,))
+    said: list[str] = []
+    found = run(tmp_path / "runs", before, say=said.append)
+    doubt = "designed_01 went as it hardly would were a delay all that is missing (a gap of 80, 60 to 110, was expected"
+    assert found.end == "resolved" and f"; but {doubt}" in found.said
+    assert any(doubt in sentence for sentence in said) and doubt[1:] in (tmp_path / "runs" / "log.md").read_text()
+    first, last = found.to_dict()["steps"]
+    assert "doubt" not in first and last["doubt"].startswith(doubt)
 
 
 def test_a_trial_is_designed_made_and_diagnosed_until_one_explanation_is_left(

@@ -32,6 +32,10 @@ WORTH = 0.5
 """Pairs that a trial is expected to settle, to be worth making."""
 
 
+UNLIKELY = 0.05
+"""Chance of what does not happen, see ``unforeseen``."""
+
+
 @dataclass(frozen=True)
 class Explanation:
     """What is said of an explanation after a diagnosis.
@@ -256,6 +260,17 @@ def realised(
         behind = other.score(now.n) - first.score(now.n)
         found.append(Realised(own, gap, own.other not in left and behind > needed))
     return tuple(found)
+
+
+def unforeseen(became: Sequence[Realised]) -> tuple[Realised, ...]:
+    """The predictions that did not come true though they would have, but for a chance of ``UNLIKELY``, were it true.
+
+    What is named now is hardly what is there then, however well it fits: that may have no name.
+
+    Args:
+        became: of the predictions of a trial.
+    """
+    return tuple(own for own in became if not own.settled and own.predicted.chance >= 1.0 - UNLIKELY)
 
 
 def held_out(given: Sequence[Recording], designed: int, patterns: Sequence[str] = ()) -> Holdout | None:

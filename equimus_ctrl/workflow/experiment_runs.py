@@ -318,6 +318,8 @@ def run_experiments(
     for step in _steps(bench, steps):
         steps.append(step)
         say(f"step {step.number}: {step.belief}")
+        if step.doubt:
+            say(f"step {step.number}: {step.doubt}")
         files = write_log(folder, model, steps, None)
     end, said = _ended(bench, steps)
     files = write_log(folder, model, steps, said)
@@ -368,7 +370,7 @@ def _ended(bench: _Bench, steps: Sequence[Step]) -> tuple[End, str]:
         if len(last.rivals.rivals) > 1:
             spent = bench.spent(steps)
             said += f"; {NOTHING_BESIDE if spent is None else ENDS[spent]}"
-        return "resolved", said
+        return "resolved", said + (f"; but {last.doubt}" if last.doubt else "")
     spent = bench.spent(steps)
     plan, before = Plan.read(bench.place(last.number + 1)), last.rivals
     if plan is None and spent is not None and len(steps) > 1:

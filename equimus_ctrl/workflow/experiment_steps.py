@@ -11,7 +11,7 @@ from typing import Any
 from equimus_ctrl import presets
 from equimus_ctrl.diagnosis.rivals import Rivals
 from equimus_ctrl.errors import ConfigError
-from equimus_ctrl.experiments.loop import Belief, End, Predicted, Realised
+from equimus_ctrl.experiments.loop import Belief, End, Predicted, Realised, unforeseen
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.shown import Short, counted
 from equimus_ctrl.types import Recording
@@ -86,6 +86,19 @@ class Step(Short):
     findings: tuple[Mapping[str, Any], ...]
     seconds: float
 
+    @property
+    def doubt(self) -> str:
+        """Why what is named is hardly what is there, as a clause; "" where nothing speaks against it."""
+        if not (against := unforeseen(self.realised)):
+            return ""
+        worst = max(against, key=lambda own: own.predicted.gap - own.gap)
+        own, trial = worst.predicted, self.plan.trial if self.plan else "the trial"
+        return (
+            f"{trial} went as it hardly would were {own.true} all that is missing (a gap of {own.gap:.3g}, "
+            f"{own.low:.3g} to {own.high:.3g}, was expected against {own.other}, and {worst.gap:.3g} is seen): "
+            "something that has no name may be there"
+        )
+
     @classmethod
     def read(cls, folder: Path, number: int, plan: Plan | None, model: Model) -> Step | None:
         """Of a step's folder; None where it was not done to its end."""
@@ -111,6 +124,7 @@ class Step(Short):
             "belief": self.belief.to_dict(),
             "findings": [dict(own) for own in self.findings],
             "realised": [own.to_dict() for own in self.realised],
+            **({"doubt": self.doubt} if self.doubt else {}),
             "diagnosis_seconds": self.seconds,
         }
 
@@ -189,6 +203,7 @@ def write_log(folder: Path, model: Model, steps: Sequence[Step], said: str | Non
             f"{', settled' if r.settled else ''}.\n"
             for r in own.realised
         ]
+        parts += [f"{own.doubt[0].upper()}{own.doubt[1:]}.\n"] if own.doubt else []
     if said:
         parts.append(f"## End\n\n{said[0].upper()}{said[1:]}.\n")
     text = folder / "log.md"
