@@ -133,8 +133,13 @@ def _interval(rivals: Rivals, recording: Recording, simulator: Simulator) -> flo
     """How long a recording's shooting intervals are going to be [s]; None where it is simulated whole."""
     if rivals.model.robot.traits.held_in_place:
         return rivals.interval
+    # A model follows its own motion for ever. So noise is added, and the model is as far off as estimates are.
+    rng, first = np.random.default_rng(0), rivals.rivals[0]
+    sigma = np.array([own.sigma for own in rivals.noise[: len(recording.joints)]])
+    noisy = replace(recording, position=recording.position + sigma * rng.standard_normal(recording.position.shape))
+    known = first.model_at(first.draws(rng, 1)[0])
     try:
-        return longest_interval(rivals.rivals[0].model, [recording], simulator=simulator).length
+        return longest_interval(known, [noisy], simulator=simulator).length
     except SimulationDiverged:
         return rivals.interval
 
