@@ -98,7 +98,7 @@ def test_a_trial_that_no_explanation_foresees_is_told(
     monkeypatch.setattr(experiment_runs, "realised", lambda *given: (became,))
     said: list[str] = []
     found = run(tmp_path / "runs", before, say=said.append)
-    doubt = "designed_01 went as it hardly would were a delay all that is missing (a gap of 80, 60 to 110, was expected"
+    doubt = "designed_01 went as it hardly does with a delay as the whole truth (a gap of 80, 60 to 110, was expected"
     assert found.end == "resolved" and f"; but {doubt}" in found.said
     assert any(doubt in sentence for sentence in said) and doubt[1:] in (tmp_path / "runs" / "log.md").read_text()
     first, last = found.to_dict()["steps"]

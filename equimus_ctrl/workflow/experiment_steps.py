@@ -94,7 +94,7 @@ class Step(Short):
         worst = max(against, key=lambda own: own.predicted.gap - own.gap)
         own, trial = worst.predicted, self.plan.trial if self.plan else "the trial"
         return (
-            f"{trial} went as it hardly would were {own.true} all that is missing (a gap of {own.gap:.3g}, "
+            f"{trial} went as it hardly does with {own.true} as the whole truth (a gap of {own.gap:.3g}, "
             f"{own.low:.3g} to {own.high:.3g}, was expected against {own.other}, and {worst.gap:.3g} is seen): "
             "something that has no name may be there"
         )
