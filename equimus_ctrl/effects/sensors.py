@@ -202,6 +202,12 @@ def hermite(x0: float, v0: float, x1: float, v1: float, dt: float, share: float)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
+def earlier(x: float, v: float, faster: float, time: float) -> float:
+    """Where a joint was a time < 0 before it was at x with the rate v, which grew by ``faster`` [1/s²]."""
+    return x + time * (v + 0.5 * faster * time)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
 def hermite_rate(x0: float, v0: float, x1: float, v1: float, dt: float, share: float) -> float:
     """The slope of ``hermite`` there."""
     s2 = share * share
@@ -292,8 +298,7 @@ def sample(
     for k in range(len(times)):
         place = (times[k] - sensor[SENSOR_DELAY] - start) / dt
         if place <= 0.0:
-            early = place * dt
-            angle = q[0] + early * (before + 0.5 * faster * early)
+            angle = earlier(q[0], before, faster, place * dt)
         else:
             step = min(int(place), n - 2)
             angle = hermite(q[step], v[step], q[step + 1], v[step + 1], dt, place - step)

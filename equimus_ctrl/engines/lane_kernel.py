@@ -13,7 +13,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from equimus_ctrl.effects.sensors import PLAY, SENSOR_DELAY, SPED_UP, STOOD, hermite, inner, read, sample
+from equimus_ctrl.effects.sensors import PLAY, SENSOR_DELAY, SPED_UP, STOOD, earlier, hermite, inner, read, sample
 from equimus_ctrl.engines.lane_begin import begin_trial, prepared, same_as_previous
 from equimus_ctrl.engines.lane_dry_friction import correct_friction as correct_friction
 from equimus_ctrl.engines.lane_functions import (
@@ -140,8 +140,8 @@ def measure_together(
                 angles[l] = hermite(q, v, grid[s + 1, place + l], grid[s + 1, speeds + l], dt, at - s)
             else:
                 before = v if moving > STOOD else 0.0
-                faster = grid[1, speeds + l] - v if moving == SPED_UP else 0.0
-                angles[l] = q + at * dt * (before + 0.5 * faster * at)
+                faster = (grid[1, speeds + l] - v) / dt if moving == SPED_UP else 0.0
+                angles[l] = earlier(q, before, faster, at * dt)
         for l in range(k):  # noqa: E741
             out[l, i, j] = read(sensor[l, j], angles[l])
 

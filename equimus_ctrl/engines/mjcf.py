@@ -14,7 +14,7 @@ from equimus_ctrl import computer
 from equimus_ctrl.effects.base import Effect
 from equimus_ctrl.effects.command import FILL, VENT, mixed_history, pressure_history
 from equimus_ctrl.effects.following import arrived
-from equimus_ctrl.effects.sensors import PLAY, SENSOR_DELAY, inner, sample
+from equimus_ctrl.effects.sensors import PLAY, inner, sample
 from equimus_ctrl.effects.valves import shaped_commands, valve_settings
 from equimus_ctrl.engines import compiled
 from equimus_ctrl.engines.limits import MAX_SPEED
@@ -268,13 +268,10 @@ def measured_of(own: Realised, path: Course, times: Array, trial: Trial | None =
             column = np.empty(len(times))
             # A sensor with a delay shows what was before the start: there the joint moved as fast as it does at the
             # start, and inside a recording as it goes on from there.
-            lead = math.ceil(own.sensor[j, SENSOR_DELAY] / path.dt) + 1 if own.sensor[j, SENSOR_DELAY] > 0 else 0
-            inside, early = trial is not None and trial.led is not None, -path.dt * np.arange(lead, 0, -1)
-            faster = (path.v[1, j] - path.v[0, j]) / path.dt if inside else 0.0
-            q = np.concatenate([path.q[0, j] + early * (path.v[0, j] + 0.5 * faster * early), path.q[:, j]])
-            v = np.concatenate([path.v[0, j] + faster * early, path.v[:, j]])
+            q, v = path.q[:, j].copy(), path.v[:, j].copy()
+            faster = (v[1] - v[0]) / path.dt if trial is not None and trial.led is not None else 0.0
             shown = going[0][j] if going is not None else np.nan
-            sample(q, v, path.start - lead * path.dt, path.dt, own.sensor[j], times, column, 0.0, shown)
+            sample(q, v, path.start, path.dt, own.sensor[j], times, column, v[0], shown, faster)
             out[:, j] = column
     if path.sound == len(path.q):
         return out, len(times)

@@ -33,7 +33,7 @@ WORTH = 0.5
 
 
 UNLIKELY = 0.05
-"""Chance of what does not happen, see ``unforeseen``."""
+"""Largest chance of what counts as not foreseen, see ``unforeseen``."""
 
 
 @dataclass(frozen=True)
