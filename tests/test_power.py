@@ -7,10 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from poor_legs import poor_trials_and_one_more
-from rival_legs import of_a_pendulum, rivals_of, steps
+from rival_legs import by_hand, of_a_pendulum, part_of, rivals_of, steps
 
 from equimus_ctrl.diagnosis.results import Diagnosis
 from equimus_ctrl.diagnosis.rivals import Rivals
+from equimus_ctrl.effects import ParallelSpring
 from equimus_ctrl.experiments.power import Power, powers
 from equimus_ctrl.experiments.predicted import Commands, predicted_trials
 from equimus_ctrl.experiments.refitting import NoiseScale, Target, Task, refitted, refitted_all
@@ -42,6 +43,19 @@ def test_what_needs_no_refit_gets_none_however_sure_one_of_its_parameters_is() -
     sure[0, 0] = 1e40
     found = refitted(replace(own, information=sure), target(rivals, SWING))
     assert found.converged and found.cost < 1e-9 and found.theta == pytest.approx(own.theta)
+
+
+def test_an_estimate_at_a_bound_that_is_no_multiple_of_its_scale_is_refitted() -> None:
+    """A bound divided by a scale and multiplied by it may lie beyond itself, where the law does not exist."""
+    high = ParallelSpring.parameter_info()["rest"]["high"]
+    scale = next(s for s in np.linspace(0.5, 2.0, 1000) if high / s * s > high)
+    spring = part_of(ParallelSpring, ("hinge",), stiffness=0.2, rest=high)
+    (own,) = by_hand(of_a_pendulum().model, (spring,), names=("arm.mass",)).rivals
+    place = own.parameters.names.index("hinge.parallel_spring.rest")
+    free = [replace(f, size=float(scale)) if k == place else f for k, f in enumerate(own.parameters.free)]
+    at_bound = replace(own, parameters=replace(own.parameters, free=tuple(free)))
+    found = refitted(at_bound, target(of_a_pendulum(), SWING))
+    assert np.all(found.theta <= at_bound.parameters.high) and found.cost > 0
 
 
 def test_another_is_refitted_to_about_what_the_first_order_says() -> None:

@@ -204,7 +204,7 @@ def _refit_of(task: Task) -> Callable[[Residuals], tuple[float, float, Array, bo
     def refit(residuals: Residuals) -> tuple[float, float, Array, bool]:
         def whole(points: Sequence[Array]) -> Array:
             """(N + p + 1, k) at points (p,) in units of the scale."""
-            rows = residuals([rival.model_at(point * free.scale) for point in points])
+            rows = residuals([rival.model_at(free.at(point)) for point in points])
             beside = np.full((1, len(points)), np.sqrt(BESIDE))
             return np.vstack([rows, np.column_stack([root @ (point - own) for point in points]), beside])
 
@@ -222,7 +222,7 @@ def _refit_of(task: Task) -> Callable[[Residuals], tuple[float, float, Array, bo
             gtol=LEVEL, max_nfev=EVALUATIONS,
         )  # fmt: skip
         cost, earlier = max(2.0 * float(found.cost) - BESIDE, 0.0), float(((root @ (found.x - own)) ** 2).sum())
-        return cost, min(earlier, cost), np.asarray(found.x * free.scale), bool(found.status > 0)
+        return cost, min(earlier, cost), free.at(found.x), bool(found.status > 0)
 
     return refit
 

@@ -118,6 +118,13 @@ class FreeParameters:
                 moved[i] = (theta[k] * moved[i] + theta[i] * change[k]) / moved[k]
         return np.clip(moved, self.low, self.high)
 
+    def at(self, point: Array) -> Array:
+        """(p,) θ at a point (p,) in units of the scale, within bounds.
+
+        A bound that goes there and back may come out beyond itself by the last bit.
+        """
+        return np.clip(point * self.scale, self.low, self.high)
+
     def held(self, place: int, value: float) -> FreeParameters:
         """All but one of them, which has a value in the model [unit of the parameter]."""
         own = self.free[place]

@@ -281,12 +281,12 @@ def _search(parameters: FreeParameters, pressure: Array, position: Array, start:
     inside = 1e-9 * (parameters.high - parameters.low)
 
     def value(x: Array) -> Array:
-        resting = rest_poses(parameters.model_at(x * scale), pressure, position)
+        resting = rest_poses(parameters.model_at(parameters.at(x)), pressure, position)
         return _residuals(resting, position).ravel()
 
     def slope(x: Array) -> Array:
-        resting = rest_poses(parameters.model_at(x * scale), pressure, position)
-        rows = -_by_theta(parameters, x * scale, resting) * scale
+        resting = rest_poses(parameters.model_at(parameters.at(x)), pressure, position)
+        rows = -_by_theta(parameters, parameters.at(x), resting) * scale
         rows[~resting.found] = 0.0
         return np.asarray(rows.reshape(-1, len(scale)))
 
@@ -303,7 +303,7 @@ def _search(parameters: FreeParameters, pressure: Array, position: Array, start:
         ftol=1e-10,
         gtol=None,
     )
-    return np.asarray(np.clip(found.x * scale, parameters.low, parameters.high))
+    return parameters.at(found.x)
 
 
 def _linear_start(parameters: FreeParameters, pressure: Array, position: Array) -> Array:
