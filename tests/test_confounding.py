@@ -11,19 +11,22 @@ import pytest
 
 from equimus_ctrl.diagnosis import unexplained
 from equimus_ctrl.diagnosis.candidates import candidates
+from equimus_ctrl.diagnosis.explained_variance import explained
 from equimus_ctrl.diagnosis.fitting import Data, Fitted
 from equimus_ctrl.diagnosis.hypothesis import Candidate, Part, default_free_parameters
-from equimus_ctrl.diagnosis.residual_force import discard_unstable
+from equimus_ctrl.diagnosis.residual_force import discard_unstable, linearise_fit
 from equimus_ctrl.diagnosis.search import Search
 from equimus_ctrl.diagnosis.search_state import SearchHistory
-from equimus_ctrl.diagnosis.unexplained import ResidualAnalysis, residual_analysis
+from equimus_ctrl.diagnosis.unexplained import ResidualAnalysis, residual_analysis, select_forces
 from equimus_ctrl.effects.base import REGISTRY, Effect, parse
+from equimus_ctrl.identification.projection import Nuisance
 from equimus_ctrl.identification.segments import cut
 from equimus_ctrl.identification.simulators import reduced_simulator
 from equimus_ctrl.models.model import nominal_model
 from equimus_ctrl.proof.leg_simulation import recordings, simulate
 from equimus_ctrl.proof.legs import draw
 from equimus_ctrl.proof.outside import CrossSpring, Leak, PressureGrowth
+from equimus_ctrl.types import Array
 
 
 def left(
@@ -93,6 +96,31 @@ def test_a_true_effect_is_not(text: str, values: tuple[float, ...], outside: tup
     assert bool(rest.unexplained) == bool(outside)
 
 
+def test_what_a_bound_holds_back_takes_no_part_of_a_residual() -> None:
+    """A damping below all that it may be: to first order the parameter itself would cross its bound and explain it."""
+    drawn = draw(20, 4, kind="none", trials=4, duration=5.0)
+    model = nominal_model()
+    free = default_free_parameters(model)
+    place = free.names.index("knee.damping")
+    little = drawn.robot.with_parameters({"knee.damping": 0.2 * free.low[place]})
+    ground_truth = replace(drawn, robot=little)
+    segments = cut(model, recordings(ground_truth, simulate(ground_truth, 480.0)), fit_start=True)
+    data = Data(free, segments, reduced_simulator(threads=1))
+    base = data.base()
+    at = linearise_fit(data, base, base.noise)
+    assert at is not None and at.whitened_fit.held is not None
+    assert [name for name, held in zip(free.names, at.whitened_fit.held, strict=True) if held] == ["knee.damping"]
+    columns = at.columns[[(own.location, own.depends_on) for own in at.families].index(("knee", "vel.knee"))]
+
+    def gain(slopes: Array) -> float:
+        return explained(at.whitened_fit.residual, Nuisance.of(slopes), columns).gain
+
+    least = data.thresholds.residual_gain
+    assert 2 * gain(at.whitened_fit.slopes) < least < 0.5 * gain(at.whitened_fit.movable)
+    selected = select_forces(data, at, 0.0)
+    assert selected[0].candidate.family.joints == ("knee",)
+
+
 def test_responses_that_grew_without_bound_are_discarded() -> None:
     good, bad = np.full((4, 2, 1), 0.3), np.full((4, 2, 1), 0.2)
     wild = np.array([0.0, 1e3, 1e12, np.inf])[:, None, None] * np.ones((1, 2, 1))
@@ -130,8 +158,8 @@ def test_a_strained_law_is_believed_only_where_all_beside_it_has_a_name(
     data: Any = SimpleNamespace(
         free=SimpleNamespace(free=[None], model=SimpleNamespace(robot=SimpleNamespace(traits=traits)))
     )
-    monkeypatch.setattr(unexplained, "chi2", lambda *given: 0.0)
+    monkeypatch.setattr(unexplained, "_fall", lambda *given: 0.0)
     monkeypatch.setattr(unexplained, "_degenerate", lambda *given: [0])
-    at: Any = SimpleNamespace(fitted=best)
+    at: Any = SimpleNamespace(fitted=best, noise=())
     found = unexplained.redundant_parts(data, at, [best, best], 0.0, [])
     assert list(found) == rejected and all(reason == unexplained.DEGENERATE for reason in found.values())

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
+from scipy.optimize import lsq_linear
 
 from equimus_ctrl.diagnosis.explained_variance import explained
 from equimus_ctrl.diagnosis.force_basis import ForceFamily
@@ -15,6 +17,7 @@ from equimus_ctrl.diagnosis.thresholds import Thresholds
 from equimus_ctrl.diagnosis.unexplained import select_forces
 from equimus_ctrl.errors import ConfigError
 from equimus_ctrl.identification.projection import Nuisance
+from equimus_ctrl.identification.whitened_fit import WhitenedFit
 from equimus_ctrl.types import Array
 
 
@@ -92,8 +95,8 @@ def test_of_one_trial_the_force_that_explains_most_for_its_parameters_is_the_bes
     nothing: list[list[slice]] = []  # a single trial has no folds
     columns = [c[:, 1:2], cause, np.column_stack([cause, c[:, 2:]])]
     forces = [ForceFamily(name, ("hip",), "time", None, (), {}) for name in ("other", "cause", "too many")]
-    whitened_fit: Any = SimpleNamespace(residual=r + 30 * cause[:, 0], slopes=q, threads=1)
-    at = LinearisedFit(None, whitened_fit, forces, columns, nothing, (), [], 3.0)  # type: ignore[arg-type]
+    whitened_fit = WhitenedFit((), r + 30 * cause[:, 0], q, [])
+    at = LinearisedFit(None, whitened_fit, forces, columns, nothing, (), [], 3.0, None)  # type: ignore[arg-type]
     ranked = force_candidates(at)
     assert [f.family.location for f in ranked] == ["cause", "too many", "other"]
     assert ranked[0].found.gain < ranked[1].found.gain and judged(ranked[0].found, at) > judged(ranked[1].found, at)
@@ -107,8 +110,8 @@ def test_forces_are_selected_one_beside_the_other_until_only_noise_is_left() -> 
     again = large + 0.5 * c[:, 6:8]
     columns = {"nothing": nothing, "again": again, "small": small, "large": large}
     forces = [ForceFamily(name, ("hip",), "time", None, (), {}) for name in columns]
-    whitened_fit: Any = SimpleNamespace(residual=r + large @ [30.0, -20.0] + small @ [15.0, 10.0], slopes=q, threads=1)
-    at = LinearisedFit(None, whitened_fit, forces, [*columns.values()], FOLDS, (), [], 3.0)  # type: ignore[arg-type]
+    whitened_fit = WhitenedFit((), r + large @ [30.0, -20.0] + small @ [15.0, 10.0], q, [])
+    at = LinearisedFit(None, whitened_fit, forces, [*columns.values()], FOLDS, (), [], 3.0, None)  # type: ignore[arg-type]
     data: Any = SimpleNamespace(n=400, thresholds=Thresholds())
     selected = select_forces(data, at, 0.0)
     assert [force.candidate.family.location for force in selected] == ["large", "small"]
@@ -119,6 +122,28 @@ def test_forces_are_selected_one_beside_the_other_until_only_noise_is_left() -> 
     assert sum(force.gain for force in selected) == pytest.approx(alone @ alone - left[0], rel=1e-3)
     # Beside effects that explain several hundred times as much they are but a trace.
     assert not select_forces(data, at, 1e6)
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_parameters_at_bounds_that_hold_them_back_take_what_is_within_them(seed: int) -> None:
+    """Of one that does: the same as least squares within its bound."""
+    rng = np.random.default_rng(seed)
+    slopes, columns, noise = rng.normal(size=(200, 3)), rng.normal(size=(200, 2)), rng.normal(size=200)
+    columns[:, 0] += (4.0 if seed % 2 else -4.0) * slopes[:, 2]  # the force has to do with what is held
+    residual = noise + slopes @ [0.0, 0.0, 1.5] + columns @ [0.8, 0.0]
+    residual -= slopes[:, :2] @ np.linalg.lstsq(slopes[:, :2], residual, rcond=None)[0]  # the others are fitted
+    side = int(np.sign(residual @ slopes[:, 2]))
+    white = WhitenedFit((), residual, slopes, [], 1, np.array([0, 0, side]))
+    bounds = (np.array([-np.inf] * 5), np.array([np.inf] * 5))
+    bounds[side > 0][2] = 0.0
+    alone = lsq_linear(slopes, residual, bounds=(bounds[0][:3], bounds[1][:3])).cost
+    both = lsq_linear(np.column_stack([slopes, columns]), residual, bounds=bounds).cost
+    force = ForceFamily("cause", ("hip",), "time", None, (), {})
+    at = LinearisedFit(None, white, [force], [columns], FOLDS, (), [], 3.0, None)  # type: ignore[arg-type]
+    (found,) = force_candidates(at)
+    assert found.found.gain == pytest.approx(2 * (alone - both), rel=1e-3)
+    (bare,) = force_candidates(replace(at, whitened_fit=replace(white, held=None)))
+    assert bare.found.gain <= found.found.gain * (1 + 1e-9)
 
 
 def test_rows_must_agree() -> None:

@@ -487,10 +487,14 @@ class Data:
 
     def _with_noise(self, hypothesis: Hypothesis, after: Fit) -> Fitted:
         """A hypothesis with its estimates, the noise estimated from its residuals, and its deviance under that."""
-        longest = self.thresholds.longest_noise
-        noise = estimate_noise(self.times, after.residuals, longest, self._correlated, self.least_noise)
+        noise = self.noise_of(after.residuals)
         deviance = -2.0 * log_likelihood(noise, self.times, after.residuals)
         return Fitted(refined(hypothesis, after.theta[len(self.free.free) :]), after, noise, deviance)
+
+    def noise_of(self, residuals: Sequence[Array]) -> Noise:
+        """The noise that makes residuals, for each segment (m, nj + ne), most likely."""
+        longest = self.thresholds.longest_noise
+        return estimate_noise(self.times, residuals, longest, self._correlated, self.least_noise)
 
     def _correlated(self, gain: float) -> bool:
         return not self.thresholds.decides(lambda t: gain < t.colour)

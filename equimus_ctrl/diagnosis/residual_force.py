@@ -4,20 +4,21 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from equimus_ctrl import computer
-from equimus_ctrl.diagnosis.explained_variance import Explained, explained
+from equimus_ctrl.diagnosis.explained_variance import CUT, Explained, explained
 from equimus_ctrl.diagnosis.fitting import Data, Fitted
 from equimus_ctrl.diagnosis.force_basis import ForceFamily, batches, families, harmonics, responses
 from equimus_ctrl.diagnosis.force_response import STEP, segment_response
 from equimus_ctrl.diagnosis.observed import observed
 from equimus_ctrl.diagnosis.place_excitation import excitation_of
+from equimus_ctrl.engines.base import ForceResponse
 from equimus_ctrl.engines.motion import Motion
 from equimus_ctrl.errors import SimulationDiverged
-from equimus_ctrl.identification.noise import Noise
+from equimus_ctrl.identification.noise import Noise, whiten
 from equimus_ctrl.identification.projection import Nuisance
 from equimus_ctrl.identification.whitened_fit import WhitenedFit, whiten_fit
 from equimus_ctrl.types import Array
@@ -63,6 +64,7 @@ class LinearisedFit:
         motions: of the fitted model, trial by trial.
         price: of each coefficient of a residual force, in units of χ², where there are no folds, see
             ``Thresholds.residual_price_alone``.
+        response: of what was measured to forces along the motions.
     """
 
     fitted: Fitted
@@ -73,6 +75,30 @@ class LinearisedFit:
     noise: Noise
     motions: list[Motion]
     price: float
+    response: ForceResponse
+
+    def under(self, data: Data, noise: Noise) -> LinearisedFit:
+        """The same, whitened by another noise."""
+        whitened_fit = whiten_fit(data.times, self.fitted.fit, noise)
+        columns = _whitened(data, whitened_fit, self.response, self.families)
+        return replace(self, whitened_fit=whitened_fit, columns=columns, noise=noise)
+
+    def without(self, data: Data, force: ForceCandidate) -> list[Array]:
+        """For each segment (m, nj + ne) the residual that a force leaves, all that is free refitted with it."""
+        fit, white = self.fitted.fit, self.whitened_fit
+        place = next(k for k, family in enumerate(self.families) if family is force.family)
+        count = force.family.size
+        both = np.column_stack([self.columns[place], white.movable])
+        found = np.linalg.lstsq(both, white.residual, rcond=CUT)[0]
+        moved = found[count:] * fit.parameters.scale
+        changes = discard_unstable(responses(self.response, [force.family]))
+        left = []
+        parts = zip(data.times, fit.residuals, changes, fit.jacobians, fit.start_jacobians, white.starts, strict=True)
+        for time, residual, change, by_theta, by_start, start in parts:
+            rows = residual - change @ found[:count] - by_theta @ moved
+            along = start.basis.T @ whiten(self.noise, time, rows).ravel()
+            left.append(rows - by_start @ start.solution(along, CUT))
+        return left
 
 
 def linearise_fit(data: Data, fitted: Fitted, noise: Noise, dt: float = STEP) -> LinearisedFit | None:
@@ -106,22 +132,30 @@ def linearise_fit(data: Data, fitted: Fitted, noise: Noise, dt: float = STEP) ->
     motions = list(linearised.motions)
     forces = [*families(model, motions), *harmonics(model, motions, frequencies(motions))]
 
-    def whitened(batch: list[ForceFamily]) -> list[Array]:
-        with np.errstate(over="ignore", invalid="ignore"):
-            changes = discard_unstable(responses(linearised, batch))
-            together = whitened_fit.columns(data.times, changes)
-        ends = np.cumsum([family.size for family in batch])[:-1]
-        return [np.ascontiguousarray(own) for own in np.split(together, ends, axis=1)]
-
-    shared = computer.side_by_side(whitened_fit.threads, whitened, batches(forces))
-    columns = [own for _, batch in shared for own in batch]
+    columns = _whitened(data, whitened_fit, linearised, forces)
     edges = np.cumsum([0, *[s.outputs.size for s in data.segments]])
     slices = [slice(int(a), int(b)) for a, b in itertools.pairwise(edges)]
     folds = [slices[k::FOLDS] for k in range(min(FOLDS, len(slices)))]
     if len(slices) == 1:
         folds = []
     price = data.thresholds.residual_price_alone
-    return LinearisedFit(fitted, whitened_fit, forces, columns, folds, noise, motions, price)
+    return LinearisedFit(fitted, whitened_fit, forces, columns, folds, noise, motions, price, linearised)
+
+
+def _whitened(
+    data: Data, whitened_fit: WhitenedFit, response: ForceResponse, forces: Sequence[ForceFamily]
+) -> list[Array]:
+    """For each residual force (N, k) whitened changes of the measurements."""
+
+    def whitened(batch: list[ForceFamily]) -> list[Array]:
+        with np.errstate(over="ignore", invalid="ignore"):
+            changes = discard_unstable(responses(response, batch))
+            together = whitened_fit.columns(data.times, changes)
+        ends = np.cumsum([family.size for family in batch])[:-1]
+        return [np.ascontiguousarray(own) for own in np.split(together, ends, axis=1)]
+
+    shared = computer.side_by_side(whitened_fit.threads, whitened, batches(forces))
+    return [own for _, batch in shared for own in batch]
 
 
 def frequencies(motions: Sequence[Motion]) -> list[float]:
@@ -146,17 +180,28 @@ def discard_unstable(answers: Sequence[Array]) -> list[Array]:
 def force_candidates(at: LinearisedFit, extra: Array | None = None) -> list[ForceCandidate]:
     """What every candidate force explains beside the free parameters, the best one first, see ``judged``.
 
+    A parameter that a bound holds back stays there, or goes back into what it may be where a force has it do so.
+
     Args:
         at: the linear model.
         extra: (N, k) whitened columns that are free as well.
     """
-    slopes = at.whitened_fit.slopes if extra is None else np.column_stack([at.whitened_fit.slopes, extra])
-    beside = Nuisance.of(slopes)
+    white = at.whitened_fit
+    residual, more = white.residual, [] if extra is None else [extra]
+    within = Nuisance.of(np.column_stack([white.movable, *more]))
+    anywhere = within if white.movable is white.slopes else Nuisance.of(np.column_stack([white.slopes, *more]))
+    crossed = within.squares_beyond(residual) - anywhere.squares_beyond(residual)
 
     def found(family: ForceFamily, columns: Array) -> ForceCandidate:
-        return ForceCandidate(family, explained(at.whitened_fit.residual, beside, columns, folds=at.folds))
+        own = explained(residual, within, columns, folds=at.folds)
+        if anywhere is not within:
+            free = explained(residual, anywhere, columns, folds=at.folds)
+            rest = anywhere.basis.T @ (residual - columns @ free.coefficients)
+            if white.inside(anywhere.solution(rest, CUT)[: white.slopes.shape[1]]):
+                own = replace(free, total=own.total, gain=free.gain + crossed, held_out=free.held_out + crossed)
+        return ForceCandidate(family, own)
 
-    candidates = computer.in_threads(at.whitened_fit.threads, found, at.families, at.columns)
+    candidates = computer.in_threads(white.threads, found, at.families, at.columns)
     return sorted(candidates, key=lambda force: -judged(force.found, at))
 
 

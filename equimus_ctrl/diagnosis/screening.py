@@ -233,13 +233,34 @@ def _selected(responses: Responses, candidate: Candidate, guesses: Sequence[Gues
 
 
 def _gains(whitened_fit: WhitenedFit, columns: Array, kept: Array) -> _FirstOrderGains:
-    """First-order gains of changes (N, k) beside the kept parameters (indices in θ), see the module's law."""
-    nuisance = Nuisance.of(whitened_fit.slopes[:, kept])
+    """First-order gains of changes (N, k) beside the kept parameters (indices in θ), see the module's law.
+
+    A parameter that a bound holds back stays there, or goes back into what it may be where a change has it do so.
+    """
+    white = whitened_fit.narrowed(kept)
+    within = Nuisance.of(white.movable)
+    found = _gains_beside(within, white.residual, columns)
+    if white.movable is white.slopes:
+        return found
+    anywhere = Nuisance.of(white.slopes)
+    free = _gains_beside(anywhere, white.residual, columns)
+    crossed = within.squares_beyond(white.residual) - anywhere.squares_beyond(white.residual)
+    inside = white.inside(free.change)
+    return _FirstOrderGains(
+        np.where(inside, free.gain + crossed, found.gain),
+        np.where(inside, free.factor, found.factor),
+        free.strength,
+        np.where(inside, free.change, found.change),
+    )
+
+
+def _gains_beside(nuisance: Nuisance, residual: Array, columns: Array) -> _FirstOrderGains:
+    """The same beside the span of some derivatives."""
     along = nuisance.basis.T @ columns
-    residual, beyond = nuisance.project_out(whitened_fit.residual), columns - nuisance.basis @ along
+    left, beyond = nuisance.project_out(residual), columns - nuisance.basis @ along
     strength = np.einsum("nk,nk->k", beyond, beyond)
-    agreement = residual @ beyond
+    agreement = left @ beyond
     factor = np.clip(agreement / np.maximum(strength, 1e-300), LEAST, MOST)
     gain = 2 * factor * agreement - factor**2 * strength
-    change = nuisance.solution((nuisance.basis.T @ whitened_fit.residual)[:, None] - along * factor, WEAK)
+    change = nuisance.solution((nuisance.basis.T @ residual)[:, None] - along * factor, WEAK)
     return _FirstOrderGains(gain, factor, strength, change)

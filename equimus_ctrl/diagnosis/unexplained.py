@@ -21,6 +21,7 @@ from equimus_ctrl.diagnosis.residual_force import ForceCandidate, LinearisedFit,
 from equimus_ctrl.diagnosis.residuals import ResidualAboveNoise, ResidualForce, Unexplained
 from equimus_ctrl.diagnosis.thresholds import Thresholds
 from equimus_ctrl.errors import SimulationDiverged
+from equimus_ctrl.identification.noise import Noise, log_likelihood
 from equimus_ctrl.identification.parameters import place_unit
 from equimus_ctrl.identification.projection import Nuisance
 from equimus_ctrl.identification.residuals import followed
@@ -108,8 +109,12 @@ def residual_analysis(data: Data, base: Fitted, best: Fitted, without: Sequence[
     held_in_place = data.free.model.robot.traits.held_in_place
     if held_in_place and _reproduced(data, base, best):
         return reproduced
-    together = chi2(data, base, best) - chi2(data, best, best)
+    together = _fall(data, base, best, at.noise)
     forces = select_forces(data, at, together)
+    if not forces and (quieter := strongest_taken_off(data, at)) is not None:
+        whole = _fall(data, base, best, quieter.noise)
+        if forces := select_forces(data, quieter, whole):
+            at, together = quieter, whole
     # Residual forces do not decide on effects that leave no residuals.
     if not held_in_place and forces and _reproduced(data, base, best):
         return reproduced
@@ -162,15 +167,15 @@ def redundant_parts(
         forces: that remain.
     """
     best = at.fitted
-    least = chi2(data, best, best)
-    falls = [chi2(data, fitted, best) - least for fitted in without]
+    falls = [_fall(data, fitted, best, at.noise) for fitted in without]
     reasons: list[tuple[int, str]] = []
     if data.free.model.robot.traits.held_in_place:
         places = confounded(at, falls, together, partial(_least, data.n), data.thresholds)
         reasons += [(k, CONFOUNDED) for k in places]
     if forces:
         for k, (fitted, fall) in enumerate(zip(without, falls, strict=True)):
-            if _replaced_by_force(data, fitted, best, fall + forces[0].gain, lambda t: t.replaces_one, TRIED):
+            whole = fall + forces[0].gain
+            if _replaced_by_force(data, fitted, best, at.noise, whole, lambda t: t.replaces_one, TRIED):
                 reasons.append((k, REPLACED))
         reasons += [(k, GENERALISED) for force in forces for k in _generalised(data, best, falls, force)]
     nameless = strained(data, best)
@@ -282,12 +287,18 @@ def _reproduced(data: Data, base: Fitted, best: Fitted) -> bool:
     """Whether one residual force explains as much as several effects together, or as one at its bounds."""
     if len(best.hypothesis) < 2 and not (best.hypothesis and strained(data, best)):
         return False
-    fall = chi2(data, base, best) - chi2(data, best, best)
-    return _replaced_by_force(data, base, best, fall, lambda t: t.replaces_all, 1)
+    fall = _fall(data, base, best, best.noise)
+    return _replaced_by_force(data, base, best, best.noise, fall, lambda t: t.replaces_all, 1)
 
 
 def _replaced_by_force(
-    data: Data, without: Fitted, best: Fitted, fall: float, share: Callable[[Thresholds], float], tried: int
+    data: Data,
+    without: Fitted,
+    best: Fitted,
+    noise: Noise,
+    fall: float,
+    share: Callable[[Thresholds], float],
+    tried: int,
 ) -> bool:
     """Whether one of the best residual forces, added to a hypothesis, explains a share of a fall of χ².
 
@@ -295,11 +306,12 @@ def _replaced_by_force(
         data: what was measured.
         without: the hypothesis.
         best: that with the parts that the force would replace; forces that restate these are no simpler.
-        fall: of χ² from the one to the other.
+        noise: by which χ² counts.
+        fall: of it from the one to the other.
         share: that decides.
         tried: so many of the best forces.
     """
-    at = linearise_fit(data, without, best.noise)
+    at = linearise_fit(data, without, noise)
     if at is None:
         return False
     at_joints = not data.free.model.robot.traits.forces_along_actuators
@@ -310,9 +322,28 @@ def _replaced_by_force(
     )
 
 
-def chi2(data: Data, fitted: Fitted, noisy: Fitted) -> float:
-    """χ² of a fit's residuals under the noise of another."""
-    return chi_squared(noisy.noise, data.times, fitted.fit.residuals)
+def _fall(data: Data, without: Fitted, best: Fitted, noise: Noise) -> float:
+    """By how much χ² falls from one hypothesis to another, under a noise."""
+    before, after = (chi_squared(noise, data.times, fitted.fit.residuals) for fitted in (without, best))
+    return before - after
+
+
+def strongest_taken_off(data: Data, at: LinearisedFit) -> LinearisedFit | None:
+    """A hypothesis whitened by the noise that is left where the strongest residual force is taken off.
+
+    What a model leaves out is taken for noise by an estimate of that, as far as it goes on for no longer, and weighs
+    less then. None where −2 ln L falls by less than what a force has to explain.
+    """
+    top = force_candidates(at)[0]
+    left = at.without(data, top)
+    noise = data.noise_of(left)
+    before, after = (
+        -2.0 * log_likelihood(own, data.times, residuals)
+        for own, residuals in ((at.noise, at.fitted.fit.residuals), (noise, left))
+    )
+    if data.thresholds.decides(partial(_but_a_trace, before - after, before - after, 0.0, data.n)):
+        return None
+    return at.under(data, noise)
 
 
 def strained(data: Data, fitted: Fitted) -> list[int]:
@@ -400,7 +431,7 @@ def _curve(at: LinearisedFit, columns: Array, axis: Axis, x: Array) -> tuple[Arr
 
     Both are without the component along the parameters' Jacobian, which the data do not identify.
     """
-    beside = Nuisance.of(at.whitened_fit.slopes)
+    beside = Nuisance.of(at.whitened_fit.movable)
     free = beside.project_out(columns)
     strength, turn = np.linalg.eigh(free.T @ free)
     whole = float(np.linalg.eigvalsh(columns.T @ columns)[-1])

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from threadpoolctl import threadpool_limits
@@ -25,6 +25,8 @@ class WhitenedFit:
         slopes: (N, p) ∂prediction/∂θ in units of the parameters' scale.
         starts: for each segment its whitened derivatives by the initial state.
         threads: among which segments are shared out.
+        held: (p,) −1 or 1 of the robot's parameters at a lower or upper bound that the residual would have them cross,
+            else 0; none by default. Bounds of effects' parameters are only where these are looked for.
     """
 
     noise: Noise
@@ -32,6 +34,27 @@ class WhitenedFit:
     slopes: Array
     starts: list[Nuisance]
     threads: int = 1
+    held: Array | None = None
+
+    @property
+    def movable(self) -> Array:
+        """(N, p) the derivatives by what may take part of a residual: 0 by parameters that a bound holds back.
+
+        To first order these would cross their bounds, and what is missing would look as though they explained it.
+        """
+        if self.held is None or not self.held.any():
+            return self.slopes
+        return np.where(self.held != 0, 0.0, self.slopes)
+
+    def narrowed(self, kept: Sequence[int] | Array) -> WhitenedFit:
+        """The same with some of the parameters alone, by their indices."""
+        rows = np.asarray(kept, dtype=int)
+        return replace(self, slopes=self.slopes[:, rows], held=None if self.held is None else self.held[rows])
+
+    def inside(self, moved: Array) -> Array:
+        """(...) whether changes (p, ...) of the parameters take none beyond the bound that holds it back."""
+        held = np.zeros(len(moved)) if self.held is None else self.held
+        return np.asarray(np.all(moved[held < 0] >= 0, axis=0) & np.all(moved[held > 0] <= 0, axis=0))
 
     def columns(self, times: Sequence[Array], changes: Sequence[Array]) -> Array:
         """(N, k) changes (m, nj, k) of predictions, whitened likewise."""
@@ -56,4 +79,7 @@ def whiten_fit(times: Sequence[Array], fit: Fit, noise: Noise) -> WhitenedFit:
     with threadpool_limits(limits=1, user_api="blas"):  # threads of their own would only fight with these
         starts, both = zip(*computer.in_threads(threads, parts, *rows), strict=True)
     residual, slopes = (np.concatenate(own) for own in ([b[:, 0] for b in both], [b[:, 1:] for b in both]))
-    return WhitenedFit(noise, residual, slopes, list(starts), threads)
+    laws = fit.parameters.model.effect_parameters()
+    own = np.array([parameter.name not in laws for parameter in fit.parameters.free])
+    held = np.where(own & (fit.at_bound * (residual @ slopes) > 0), fit.at_bound, 0)
+    return WhitenedFit(noise, residual, slopes, list(starts), threads, held)
