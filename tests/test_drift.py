@@ -71,7 +71,7 @@ def test_noise_is_estimated_again_with_what_a_force_explains_taken_off(last: flo
     base = data.base()
     at = linearise_fit(data, base, base.noise)
     assert at is not None
-    quieter = unexplained.strongest_taken_off(data, at)
+    quieter = unexplained.taken_off(data, at, force_candidates(at)[0])
     if last == 0.07:
         assert quieter is None
         return

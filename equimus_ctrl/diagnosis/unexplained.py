@@ -110,8 +110,9 @@ def residual_analysis(data: Data, base: Fitted, best: Fitted, without: Sequence[
     if held_in_place and _reproduced(data, base, best):
         return reproduced
     together = _fall(data, base, best, at.noise)
-    forces = select_forces(data, at, together)
-    if not forces and (quieter := strongest_taken_off(data, at)) is not None:
+    strongest = force_candidates(at)[0]
+    forces = select_forces(data, at, together, strongest)
+    if not forces and (quieter := taken_off(data, at, strongest)) is not None:
         whole = _fall(data, base, best, quieter.noise)
         if forces := select_forces(data, quieter, whole):
             at, together = quieter, whole
@@ -123,7 +124,9 @@ def residual_analysis(data: Data, base: Fitted, best: Fitted, without: Sequence[
     return ResidualAnalysis(unexplained, redundant)
 
 
-def select_forces(data: Data, at: LinearisedFit, together: float) -> list[SelectedForce]:
+def select_forces(
+    data: Data, at: LinearisedFit, together: float, strongest: ForceCandidate | None = None
+) -> list[SelectedForce]:
     """The residual forces that count, by forward selection: each the best beside those before it.
 
     The f-th lets χ² fall in cross-validation by most of all beside the columns of those before, see
@@ -134,11 +137,12 @@ def select_forces(data: Data, at: LinearisedFit, together: float) -> list[Select
         data: what was measured.
         at: the hypothesis to first order.
         together: by how much χ² falls with all effects of the hypothesis.
+        strongest: the first of ``force_candidates``, where it is known.
     """
     selected: list[SelectedForce] = []
     for _ in range(MOST):
         extra = np.column_stack([force.columns for force in selected]) if selected else None
-        top = force_candidates(at, extra)[0]
+        top = strongest if strongest and not selected else force_candidates(at, extra)[0]
         whole = max(together, 0.0) + sum(force.gain for force in selected) + top.found.gain
         if data.thresholds.decides(partial(_but_a_trace, judged(top.found, at), top.found.gain, whole, data.n)):
             break
@@ -328,14 +332,13 @@ def _fall(data: Data, without: Fitted, best: Fitted, noise: Noise) -> float:
     return before - after
 
 
-def strongest_taken_off(data: Data, at: LinearisedFit) -> LinearisedFit | None:
+def taken_off(data: Data, at: LinearisedFit, strongest: ForceCandidate) -> LinearisedFit | None:
     """A hypothesis whitened by the noise that is left where the strongest residual force is taken off.
 
     What a model leaves out is taken for noise by an estimate of that, as far as it goes on for no longer, and weighs
     less then. None where −2 ln L falls by less than what a force has to explain.
     """
-    top = force_candidates(at)[0]
-    left = at.without(data, top)
+    left = at.without(data, strongest)
     noise = data.noise_of(left)
     before, after = (
         -2.0 * log_likelihood(own, data.times, residuals)
