@@ -40,6 +40,8 @@ from equimus_ctrl.identification.projection import Nuisance
 from equimus_ctrl.identification.whitened_fit import WhitenedFit
 from equimus_ctrl.types import Array
 
+PROMISING = 2
+"""Guesses of a candidate at which its fit may begin, the best ones."""
 SHORTER = (0.5, 0.25)
 """Shares of a change to first order at which a fit may begin too, where the whole of it leads too far."""
 WEAK = 1e-8
@@ -65,6 +67,8 @@ class Screened:
         tried: the guesses that could be added.
         strength: for each of them χ² of its orthogonal component, by the noise estimated.
         whole: likewise χ² of all that it changes; None where nobody asked for strengths alone.
+        others: (p,) each, θ at which a fit may begin as well: to first order the change of a law that begins somewhere,
+            such as a dead zone's, grows evenly from nothing on, and the best size by that may be where it does nothing.
     """
 
     candidate: Candidate
@@ -74,6 +78,7 @@ class Screened:
     tried: tuple[Mapping[str, float], ...]
     strength: Array
     whole: Array | None = None
+    others: tuple[Array, ...] = ()
 
     def begins(self, data: Data, fitted: Fitted, many_minima: bool) -> list[Array]:
         """(p,) each, θ to first order; beside other parts also part of the way there from no effect of the last one.
@@ -91,10 +96,10 @@ class Screened:
         nothing = Part(last.candidate, {**last.values, **last.candidate.fades_to()})
         start = data.theta_of(fitted.fit.theta, (*self.hypothesis[:-1], nothing))
         if not fitted.hypothesis or not last.candidate.fades_to():
-            return [self.begin]
+            return [self.begin, *self.others]
         change, own = self.begin - start, np.arange(len(start)) >= len(start) - last.candidate.n_parameters
         alone = [start + SHORTER[-1] * own * change] if many_minima else []
-        return [self.begin, *(start + share * change for share in SHORTER), *alone]
+        return [self.begin, *(start + share * change for share in SHORTER), *alone, *self.others]
 
 
 @dataclass(frozen=True, eq=False)
@@ -219,9 +224,16 @@ def _evaluated(responses: Responses) -> dict[Candidate, list[Guess]]:
 
 def _selected(responses: Responses, candidate: Candidate, guesses: Sequence[Guess]) -> Screened:
     """A candidate at the guess with the largest gain by either whitening, its size the best to first order."""
-    best = max(guesses, key=lambda guess: max(guess.gains))
+    best, *less = sorted(guesses, key=lambda guess: -max(guess.gains))
     hypothesis = responses.guesses[best.index]
     scaled = rescaled(responses.data.free.model, hypothesis, best.factor) or hypothesis
+    others = [_as_guessed(responses, best)] if best.factor != 1.0 else []
+    for guess in less[: PROMISING - 1]:
+        own = responses.guesses[guess.index]
+        if max(guess.gains) > 0 and guess.kept == best.kept and own[:-1] == hypothesis[:-1]:
+            smaller = rescaled(responses.data.free.model, own, guess.factor) or own
+            others.append(np.concatenate([guess.theta, list(smaller[-1].values.values())]))
+            others += [_as_guessed(responses, guess)] if guess.factor != 1.0 else []
     return Screened(
         candidate,
         scaled,
@@ -229,7 +241,15 @@ def _selected(responses: Responses, candidate: Candidate, guesses: Sequence[Gues
         ScreenedGains(*(max(guess.gains[w] for guess in guesses) for w in (WHITE, ESTIMATED))),
         tuple(dict(responses.guesses[guess.index][-1].values) for guess in guesses),
         np.array([guess.strengths[ESTIMATED] for guess in guesses]),
+        others=tuple(others),
     )
+
+
+def _as_guessed(responses: Responses, guess: Guess) -> Array:
+    """(p,) θ at the size that was guessed, the parameters kept moved with it to first order."""
+    start = np.array(responses.fitted.fit.theta)[list(guess.kept)]
+    values = list(responses.guesses[guess.index][-1].values.values())
+    return np.concatenate([start + (guess.theta - start) / guess.factor, values])
 
 
 def _gains(whitened_fit: WhitenedFit, columns: Array, kept: Array) -> _FirstOrderGains:
