@@ -244,6 +244,7 @@ _ROWS: Mapping[str, tuple[Row, ...]] = {
         ("ESTIMATED", 1, "arithmetic", "theory", "the place of the other"),
     ),
     "diagnosis.screening": (
+        ("PROMISING", 2, "looked at", "convention", "guesses of a candidate at which its fit may begin"),
         ("SHORTER", (0.5, 0.25), "looked at", "convention", "shares of a first-order change at which fits begin too"),
         ("WEAK", 1e-8, "arithmetic", "theory", "directions that are not changed at all"),
     ),
