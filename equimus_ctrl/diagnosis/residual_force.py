@@ -180,7 +180,7 @@ def discard_unstable(answers: Sequence[Array]) -> list[Array]:
 def force_candidates(at: LinearisedFit, extra: Array | None = None) -> list[ForceCandidate]:
     """What every candidate force explains beside the free parameters, the best one first, see ``judged``.
 
-    A parameter that a bound holds back stays there, or goes back into what it may be where a force has it do so.
+    A parameter at an active bound stays there, or goes back inside where a force has it do so.
 
     Args:
         at: the linear model.

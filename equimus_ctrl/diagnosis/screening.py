@@ -255,7 +255,7 @@ def _as_guessed(responses: Responses, guess: Guess) -> Array:
 def _gains(whitened_fit: WhitenedFit, columns: Array, kept: Array) -> _FirstOrderGains:
     """First-order gains of changes (N, k) beside the kept parameters (indices in θ), see the module's law.
 
-    A parameter that a bound holds back stays there, or goes back into what it may be where a change has it do so.
+    A parameter at an active bound stays there, or goes back inside where a change has it do so.
     """
     white = whitened_fit.narrowed(kept)
     within = Nuisance.of(white.movable)

@@ -38,7 +38,7 @@ class WhitenedFit:
 
     @property
     def movable(self) -> Array:
-        """(N, p) the derivatives by what may take part of a residual: 0 by parameters that a bound holds back.
+        """(N, p) the derivatives by what may take part of a residual: 0 by parameters at an active bound.
 
         To first order these would cross their bounds, and what is missing would look as though they explained it.
         """
@@ -52,7 +52,7 @@ class WhitenedFit:
         return replace(self, slopes=self.slopes[:, rows], held=None if self.held is None else self.held[rows])
 
     def inside(self, moved: Array) -> Array:
-        """(...) whether changes (p, ...) of the parameters take none beyond the bound that holds it back."""
+        """(...) whether changes (p, ...) of the parameters take none beyond its active bound."""
         held = np.zeros(len(moved)) if self.held is None else self.held
         return np.asarray(np.all(moved[held < 0] >= 0, axis=0) & np.all(moved[held > 0] <= 0, axis=0))
 
