@@ -344,7 +344,7 @@ def taken_off(data: Data, at: LinearisedFit, strongest: ForceCandidate) -> Linea
         -2.0 * log_likelihood(own, data.times, residuals)
         for own, residuals in ((at.noise, at.fitted.fit.residuals), (noise, left))
     )
-    if data.thresholds.decides(partial(_but_a_trace, before - after, before - after, 0.0, data.n)):
+    if data.thresholds.decides(lambda t: before - after < _least(data.n, t)):
         return None
     return at.under(data, noise)
 
