@@ -23,8 +23,8 @@ class RunExperimentsOptions(DesignOptions):
         fix: the same.
         exclude: the same.
         also: the same.
-        validation: the same; by default what a diagnosis of the recordings from before would hold out, and designed
-            trials are all fitted.
+        validation: the same, and designed trials are fitted whole then; by default what a diagnosis of the recordings
+            from before would hold out, and the last quarter of each designed trial.
 
     Raises:
         ConfigError: for a value that cannot be.
