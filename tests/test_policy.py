@@ -19,7 +19,7 @@ from equimus_ctrl.diagnosis.thresholds import Thresholds
 DIAGNOSIS = Path(__file__).resolve().parents[1] / "equimus_ctrl" / "diagnosis"
 TOLD = {"blocks", "far_off"}
 """Thresholds that are read for a report too."""
-TELLS = {"findings", "initial_states", "units_compared", "smooth_laws", "search_stage"}
+TELLS = {"findings", "initial_states", "units_compared", "smooth_laws", "friction_over_angle", "search_stage"}
 """Modules that tell the acceptance threshold beside a gain."""
 PROGRESS = {"OTHER_SHARE", "SEARCH_SHARE", "ROUNDS"}
 """Numbers of these names in ``stages`` and ``refit`` divide the progress that is told."""

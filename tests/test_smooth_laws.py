@@ -10,18 +10,14 @@ from typing import Any
 import casadi as ca
 import numpy as np
 import pytest
-from pendulum_runs import MOTOR, PENDULUM, recorded
+from named_pendulums import ROBOT, fitted_law
 from scipy.interpolate import BSpline
 
 from equimus_ctrl.diagnosis import smooth_laws
 from equimus_ctrl.diagnosis.alternatives import without_parts
-from equimus_ctrl.diagnosis.candidates import candidates
-from equimus_ctrl.diagnosis.fitting import Data, Fitted
-from equimus_ctrl.diagnosis.holdout import Split, split
+from equimus_ctrl.diagnosis.holdout import Split
 from equimus_ctrl.diagnosis.hypothesis import Candidate, Part, default_free_parameters, parameters_of
-from equimus_ctrl.diagnosis.policy import SearchSettings
 from equimus_ctrl.diagnosis.residuals import ResidualForce
-from equimus_ctrl.diagnosis.search import Search
 from equimus_ctrl.diagnosis.search_state import SearchState
 from equimus_ctrl.diagnosis.smooth_laws import SHAPES, SmoothLaw, analysed, beside, redundant
 from equimus_ctrl.diagnosis.thresholds import Thresholds
@@ -38,12 +34,8 @@ from equimus_ctrl.effects import (
 )
 from equimus_ctrl.effects.smooth import SmoothForce, splines
 from equimus_ctrl.errors import ConfigError
-from equimus_ctrl.identification.simulators import reduced_simulator
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.proof.outside import AngleDamping
-from equimus_ctrl.robots.mjcf.robot import MjcfRobot
-
-ROBOT = MjcfRobot("arm", PENDULUM.format(drive=MOTOR))
 
 
 @dataclass(frozen=True)
@@ -55,24 +47,6 @@ class DampingOverAngle(AngleDamping):
 
 TRUE = ViscousFriction("hinge", 0.08)
 OUTSIDE = DampingOverAngle("hinge", 0.15, -0.6, 0.6)
-
-
-def fitted_law(*truth: Effect, named: Sequence[str] = ("viscous_friction:hinge",)) -> tuple[Search, SearchState, Split]:
-    """A search that has come to some laws at the hinge, whatever there truly is."""
-    free = default_free_parameters(Model(ROBOT))
-    parts = split(free.model, recorded(Model(ROBOT, truth), count=4, dt=1e-3))
-    data = Data(free, parts.train, reduced_simulator(threads=1))
-    search = Search(data, candidates(free.model, parts.train), SearchSettings(many_minima=True))
-    base = data.base()
-    chosen = [next(c for c in search.pool if c.label == label) for label in named]
-
-    def fitted(some: Sequence[Candidate]) -> Fitted:
-        hypothesis = tuple(Part(c, {own.name: 0.05 for own in c.parameters}) for c in some)
-        begin = (data.theta_of(base.fit.theta, hypothesis), base.fit.starts)
-        return data.converge(data.coarse_fit(hypothesis, [begin], base.noise, 15)) if some else base
-
-    without = tuple(fitted([c for c in chosen if c is not left]) for left in chosen)
-    return search, SearchState(base, fitted(chosen), without, tuple(() for _ in chosen)), parts
 
 
 def test_splines_are_those_of_scipy_and_sum_to_one_within_their_range() -> None:
@@ -185,6 +159,7 @@ def test_a_joint_whose_law_was_rejected_is_asked_again_beside_those_that_stay(mo
         return ResidualForce(joint, 1.0, (), (joint,), 90.0, 40.0, "N·m", None, "", nothing, nothing, nothing)
 
     asked: list[set[str]] = []
+    monkeypatch.setattr(smooth_laws, "friction_in_place", lambda *given: {})
     monkeypatch.setattr(smooth_laws, "beside", lambda search, state, split, also: asked.append(set(also)) or ())
     for known in ((), (force("elbow"),)):
         monkeypatch.setattr(smooth_laws, "residual_analysis", lambda *given, known=known: ResidualAnalysis(known))

@@ -333,10 +333,15 @@ _ROWS: Mapping[str, tuple[Row, ...]] = {
         ("POINTS", 61, "told", "convention", "of the curve"),
         ("CONFIDENT", 1.96, "told", "theory", "of its band: normal distribution, 95 %"),
     ),
-    "diagnosis.smooth_laws": (
+    "diagnosis.forces_beside": (
         ("WIDER", (1, 2), "looked at", "convention", "widths at which the torque domain is asked for smooth forces"),
-        ("POINTS", 61, "told", "convention", "of a force's curve"),
-        ("CONFIDENT", 1.96, "told", "theory", "of its band: normal distribution, 95 %"),
+        ("CONFIDENT", 1.96, "told", "theory", "of a force's band: normal distribution, 95 %"),
+    ),
+    "diagnosis.smooth_laws": (("POINTS", 61, "told", "convention", "of a force's curve"),),
+    "diagnosis.friction_over_angle": (
+        ("COVERED", (0.02, 0.98), "method", "convention", "quantiles of measured angles that its knots are between"),
+        ("SIZES", (0.01, 0.03, 0.1, 0.3), "looked at", "convention", "with which fits of it begin"),
+        ("EVEN", 0.1, "method", "convention", "share of even knots in those that follow the samples"),
     ),
     # --- what is told -------------------------------------------------------------------------------------------------
     "diagnosis.explanations": (

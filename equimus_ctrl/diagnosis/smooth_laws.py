@@ -11,47 +11,50 @@ Where there is a torque domain, only what it asks for is simulated.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Literal, cast
+from typing import Literal
 
 import numpy as np
-from scipy.special import chdtri
 
 from equimus_ctrl.diagnosis.alternatives import without_parts
 from equimus_ctrl.diagnosis.budget import BudgetSpent
 from equimus_ctrl.diagnosis.confirmation import carried_over, confirms
 from equimus_ctrl.diagnosis.coordinates import Coordinate
 from equimus_ctrl.diagnosis.fitting import Fitted
+from equimus_ctrl.diagnosis.forces_beside import (
+    CONFIDENT,
+    WIDER,
+    along,
+    another_law,
+    asked_in_torques,
+    fitted_without,
+    force_of,
+    joints_of,
+    share_beyond,
+)
+from equimus_ctrl.diagnosis.friction_over_angle import friction_in_place
 from equimus_ctrl.diagnosis.holdout import Split
 from equimus_ctrl.diagnosis.holdout_residuals import HoldoutResiduals
 from equimus_ctrl.diagnosis.hypothesis import Candidate, Part
-from equimus_ctrl.diagnosis.localization import speeds
 from equimus_ctrl.diagnosis.place_excitation import excitation_of
 from equimus_ctrl.diagnosis.residuals import ResidualForce, Unexplained
 from equimus_ctrl.diagnosis.search import Search
 from equimus_ctrl.diagnosis.search_state import SearchState
 from equimus_ctrl.diagnosis.thresholds import Thresholds
 from equimus_ctrl.diagnosis.torque_agreement import more_beside
-from equimus_ctrl.diagnosis.torque_screening import CORRELATED, torque_screen
 from equimus_ctrl.diagnosis.unexplained import GENERALISED, ResidualAnalysis, residual_analysis
 from equimus_ctrl.effects.excitation import Excitation
 from equimus_ctrl.effects.force import ForceEffect
 from equimus_ctrl.effects.smooth import SmoothForce
-from equimus_ctrl.engines.mjcf_inverse import law_force, law_slopes
+from equimus_ctrl.engines.mjcf_inverse import law_slopes
 from equimus_ctrl.errors import SimulationDiverged
 from equimus_ctrl.identification.parameters import place_unit
 from equimus_ctrl.types import Array
 
-WIDER = (1, 2)
-"""Widths of the test functions at which the torque domain is asked, over that of the search: wide ones see slow forces
-better."""
 POINTS = 61
 """At which the curve of a force is given."""
-CONFIDENT = 1.96
-"""Standard errors of its 95 % interval, by the normal distribution."""
 
 
 @dataclass(frozen=True)
@@ -101,8 +104,17 @@ def analysed(search: Search, state: SearchState, split: Split, before: Sequence[
             other laws, where no force is found at them to first order.
     """
     own = _shown_in_torques(search, state.best, residual_analysis(search.data, state.base, state.best, state.without))
+    if own.redundant:
+        return own
+    try:
+        rather = friction_in_place(search, state, split)
+    except BudgetSpent:
+        return own
+    if rather:
+        rubbing = {friction.joint: friction.told(search) for friction in rather.values()}
+        return ResidualAnalysis(_together(own.unexplained, list(rubbing.values())), dict.fromkeys(rather, GENERALISED))
     also = _places(before) - _places(own.unexplained)
-    if own.redundant or not (state.best.hypothesis or also) or search.data.free.model.robot.traits.held_in_place:
+    if not (state.best.hypothesis or also) or search.data.free.model.robot.traits.held_in_place:
         return own
     try:
         laws = beside(search, state, split, also)
@@ -269,7 +281,7 @@ def redundant(search: Search, state: SearchState, laws: Sequence[SmoothLaw]) -> 
             if alone is None or search.accepts(alone, law.fitted):
                 continue
             other = replace(law, fitted=alone)
-            if not drawn or search.data.thresholds.decides(partial(_another_law, _beyond(search, other, part))):
+            if not drawn or search.data.thresholds.decides(partial(another_law, _beyond(search, other, part))):
                 found.setdefault((k, law.joint), other)
     return found
 
@@ -278,36 +290,10 @@ def _could_be_drawn(share: float, t: Thresholds) -> bool:
     return share < t.drawn
 
 
-def _another_law(share: float, t: Thresholds) -> bool:
-    return share > t.no_constant
-
-
 def _rubs(part: Part) -> bool:
     """Whether a part is a law of the speed, and of the angle at most beside it."""
     law = part.candidate.effect.depends() or set()
     return issubclass(part.candidate.effect, ForceEffect) and "vel" in law and law <= {"pos", "vel"}
-
-
-def _along(search: Search, joint: str) -> tuple[Array, Array]:
-    """(n,) positions and rates of a joint at the instants that were measured."""
-    data = search.data
-    j = data.free.model.robot.joint_names.index(joint)
-    return (
-        np.concatenate([segment.measured[:, j] for segment in data.segments]),
-        np.concatenate([speeds(segment)[:, j] for segment in data.segments]),
-    )
-
-
-def _force_of(part: Part, joint: str, x: Array, rate: Array) -> Array:
-    """(n,) what a law exerts at a joint."""
-    values = part.candidate.at(part.values, joint)
-    return law_force(cast("type[ForceEffect]", part.candidate.effect), values, x, rate, np.zeros_like(x))
-
-
-def _share_beyond(force: Array, columns: Array) -> float:
-    """The share of a force's square that no sum of columns (n, k) is."""
-    left = force - columns @ np.linalg.lstsq(columns, force, rcond=None)[0]
-    return float(left @ left) / max(float(force @ force), 1e-300)
 
 
 def _slopes(candidate: Candidate, x: Array, rate: Array) -> Array:
@@ -318,67 +304,41 @@ def _slopes(candidate: Candidate, x: Array, rate: Array) -> Array:
 
 def _not_drawn(search: Search, law: SmoothLaw, part: Part) -> float:
     """The share of a part's force that a smooth force cannot be, whatever it explains."""
-    x, rate = _along(search, law.joint)
-    return _share_beyond(_force_of(part, law.joint, x, rate), _slopes(law.fitted.hypothesis[-1].candidate, x, rate))
+    x, rate = along(search, law.joint)
+    return share_beyond(force_of(part, law.joint, x, rate), _slopes(law.fitted.hypothesis[-1].candidate, x, rate))
 
 
 def _beyond(search: Search, law: SmoothLaw, part: Part) -> float:
     """The share of a smooth force, fitted without a part, that is not the part's law, whatever size that has."""
-    x, rate = _along(search, law.joint)
-    whole = _force_of(law.fitted.hypothesis[-1], law.joint, x, rate)
-    return _share_beyond(whole, _force_of(part, law.joint, x, rate)[:, None])
+    x, rate = along(search, law.joint)
+    whole = force_of(law.fitted.hypothesis[-1], law.joint, x, rate)
+    return share_beyond(whole, force_of(part, law.joint, x, rate)[:, None])
 
 
 def _without(search: Search, law: SmoothLaw, k: int) -> Fitted | None:
     """A hypothesis with a smooth force and without one of its other parts at its joint; None where it diverges."""
-    data, fitted = search.data, law.fitted
-    part = fitted.hypothesis[k]
-    stay = _others(part, (law.joint,))
-    rest = (part.narrowed(stay),) if stay else ()
-    hypothesis = (*fitted.hypothesis[:k], *rest, *fitted.hypothesis[k + 1 :])
-    begin = (data.theta_of(fitted.fit.theta, hypothesis), fitted.fit.starts)
-    try:
-        simpler = data.coarse_fit(hypothesis, [begin], fitted.noise, search.settings.long_steps)
-        return data.converge(simpler) if search.accepts(simpler, fitted) else simpler
-    except SimulationDiverged:
-        return None
+    parts = law.fitted.hypothesis
+    stay = _others(parts[k], (law.joint,))
+    rest = (parts[k].narrowed(stay),) if stay else ()
+    return fitted_without(search, law.fitted, (*parts[:k], *rest, *parts[k + 1 :]))
 
 
 def _joints(search: Search, best: Fitted, also: Collection[str]) -> list[str]:
     """At which a hypothesis has parts, and others, in the robot's order."""
-    own = {joint for part in best.hypothesis for joint in _joints_of(search, part)}.union(also)
+    own = {joint for part in best.hypothesis for joint in joints_of(search, part)}.union(also)
     return [name for name in search.data.free.model.robot.joint_names if name in own]
-
-
-def _joints_of(search: Search, part: Part) -> set[str]:
-    """The joints at which a part acts: its places, or those that its actuators drive."""
-    robot, places = search.data.free.model.robot, set(part.candidate.locations)
-    driven = [robot.driven_joints(name) for name in robot.actuator_names if name in places]
-    return places.intersection(robot.joint_names).union(*driven)
 
 
 def _asked_for(search: Search, best: Fitted, also: Collection[str]) -> Iterator[tuple[str, Shape, Candidate]]:
     """Smooth forces that the torque domain asks for at a hypothesis' joints; all there where there is none."""
-    data, domain = search.data, search.torque_domain
-    excitation = excitation_of(data.free.model, data.segments)
-    every = [
-        (joint, shape, _candidate(joint, shape, excitation[joint]))
+    excitation = excitation_of(search.data.free.model, search.data.segments)
+    every = {
+        _candidate(joint, shape, excitation[joint]): (joint, shape)
         for joint in _joints(search, best, also)
         for shape in SHAPES
-    ]
-    gains: dict[Candidate, float] = {}
-    if domain is not None:
-        for times in WIDER:
-            wider = replace(domain, width=times * domain.width)
-            for own, fit in torque_screen(data, wider, best, [candidate for *_, candidate in every]).alone().items():
-                gains[own] = max(gains.get(own, 0.0), fit.gain / CORRELATED)
-    for one in every:
-        if data.thresholds.decides(partial(_worth_asking, gains.get(one[-1], math.inf), len(every))):
-            yield one
-
-
-def _worth_asking(gain: float, count: int, t: Thresholds) -> bool:
-    return gain > float(chdtri(len(SmoothForce.neutral), t.smooth_asked / max(count, 1)))
+    }
+    for candidate in asked_in_torques(search, best, list(every)):
+        yield (*every[candidate], candidate)
 
 
 def _candidate(joint: str, shape: Shape, excitation: Excitation) -> Candidate:

@@ -106,10 +106,11 @@ class Thresholds:
         0.05,
         "of the gain",
         "a law is another one where a force left at its joint, which depends on more than the law, gains more than "
-        "this share of what the law gains: by residuals, and in the torque domain, which else keeps the law",
+        "this share of what the law gains: by residuals, and in the torque domain, which else keeps the law; or where "
+        "friction over the angle gains that more in its place, and the law less beside it",
         "calibration",
         PROOFS,
-        where="smooth_laws unexplained",
+        where="smooth_laws unexplained friction_over_angle",
     )
     exchange: float = decided_by(
         1.0,
@@ -234,7 +235,7 @@ class Thresholds:
         "at most this probability, over all that are asked for; one that is not is not reported",
         "convention",
         "mild, for simulation accepts it or not at the level of significance",
-        where="smooth_laws",
+        where="forces_beside",
     )
     replaces_one: float = decided_by(
         0.85,
@@ -273,10 +274,11 @@ class Thresholds:
         0.05,
         "of a force's square",
         "damping is another law than viscous friction where more of the speed times a function of the angle is not the "
-        "speed times a constant",
+        "speed times a constant, and dry friction over the angle another than a friction law where more of it is no "
+        "multiple of that",
         "convention",
         "the damping's standard deviation is then 23 % of its mean",
-        where="smooth_laws",
+        where="forces_beside",
     )
     linear_share: float = decided_by(
         0.3,

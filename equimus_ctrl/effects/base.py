@@ -329,7 +329,7 @@ class Effect:
 
 
 REGISTRY: dict[str, type[Effect]] = {}
-RESERVED = ("smooth_force",)
+RESERVED = ("smooth_force", "smooth_friction")
 """Names of laws that are fitted beside effects and never named, see ``effects.smooth``."""
 
 

@@ -476,9 +476,18 @@ def laws_with(effects: Sequence[Effect], robots: Robots) -> tuple[type[ForceEffe
     return _usual_and(force_laws(robots), laws_of(effects))
 
 
+def all_laws_and(effects: Sequence[Effect], robots: Robots) -> tuple[type[ForceEffect], ...]:
+    """All force laws of a kind of robots, and those outside the catalogue that some effects have."""
+    return _and(force_laws(robots), laws_of(effects))
+
+
 @lru_cache(maxsize=256)
 def _usual_and(
     catalogue: tuple[type[ForceEffect], ...], own: tuple[type[ForceEffect], ...]
 ) -> tuple[type[ForceEffect], ...]:
-    usual = {law for law in catalogue if not law.n_states}
-    return tuple(sorted(usual.union(own), key=lambda law: law.name))
+    return _and(tuple(law for law in catalogue if not law.n_states), own)
+
+
+@lru_cache(maxsize=256)
+def _and(some: tuple[type[ForceEffect], ...], others: tuple[type[ForceEffect], ...]) -> tuple[type[ForceEffect], ...]:
+    return tuple(sorted({*some, *others}, key=lambda law: law.name))

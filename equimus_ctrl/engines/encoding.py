@@ -12,7 +12,7 @@ from equimus_ctrl.effects.base import Effect, require_simulated
 from equimus_ctrl.effects.bodies import changed_bodies
 from equimus_ctrl.effects.command import DELAY, FILL, FLOW, RATE, VENT
 from equimus_ctrl.effects.following import DIRECT, FILTERED, FOLLOW_KIND, SLEWED
-from equimus_ctrl.effects.force import force_laws, laws_with
+from equimus_ctrl.effects.force import all_laws_and, laws_with
 from equimus_ctrl.effects.sensors import SCALE, sensor_settings
 from equimus_ctrl.effects.valves import valve_settings
 from equimus_ctrl.engines import lane_equations
@@ -133,7 +133,9 @@ def encoded(models: Sequence[Model], mechanics: Sequence[Mechanics]) -> Encoded:
 
 def laws_for(effects: Sequence[Effect], traits: RobotTraits) -> Laws:
     """The force laws that compiled equations of a robot with some effects have, see ``keeps_states_of_laws``."""
-    return force_laws(traits.catalogue) if traits.keeps_states_of_laws else laws_with(effects, traits.catalogue)
+    if traits.keeps_states_of_laws:
+        return all_laws_and(effects, traits.catalogue)
+    return laws_with(effects, traits.catalogue)
 
 
 def mechanics_of(model: Model, trial: Trial | None) -> Mechanics:

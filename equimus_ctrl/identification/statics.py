@@ -13,7 +13,6 @@ from scipy.optimize import least_squares, lsq_linear
 
 from equimus_ctrl.effects.base import require_simulated
 from equimus_ctrl.effects.bodies import changed_bodies
-from equimus_ctrl.effects.force import force_laws
 from equimus_ctrl.effects.sensors import SCALE, sensor_settings, shown
 from equimus_ctrl.effects.valves import shaped_commands
 from equimus_ctrl.engines.encoding import encode
@@ -100,8 +99,8 @@ def rest_poses(model: Model, pressure: Array, guess: Array) -> RestPoses:
     """
     require_simulated(model.effects, f"{model.name}: statics")
     m = model.morphology
-    laws = force_laws()
-    parameters = encode([model]).parameters[0]
+    encoded = encode([model])
+    laws, parameters = encoded.laws, encoded.parameters[0]
     reached = shaped_commands(model.effects, m.actuator_names, pressure)
     n, nj = guess.shape
     form = structure(m)

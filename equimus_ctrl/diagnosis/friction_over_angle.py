@@ -1,0 +1,191 @@
+"""Whether what a law is named for is dry friction of one angle more than of another.
+
+Dry friction about one angle is imitated by others: by static friction where the joint rests there, by a memory of the
+actuator across it. So at each joint at which one named law acts by itself, dry friction of any size over the angle
+(``effects.smooth.SmoothFriction``) is fitted beside the hypothesis. The law is another one where that friction in its
+place gains more by ``Thresholds.generalised_share`` of what the law gains, where the law beside it gains less than as
+much, and where validation trials confirm the one in the place of the other. A friction law that it could be stays where
+the size that is found is that law's own, give or take ``Thresholds.no_constant`` of its square.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+
+from equimus_ctrl.diagnosis.confirmation import carried_over, confirms
+from equimus_ctrl.diagnosis.coordinates import Coordinate
+from equimus_ctrl.diagnosis.fitting import Fitted
+from equimus_ctrl.diagnosis.forces_beside import (
+    CONFIDENT,
+    along,
+    another_law,
+    asked_in_torques,
+    fitted_without,
+    force_of,
+    joints_of,
+    share_beyond,
+)
+from equimus_ctrl.diagnosis.holdout import Split
+from equimus_ctrl.diagnosis.holdout_residuals import HoldoutResiduals
+from equimus_ctrl.diagnosis.hypothesis import Candidate, Hypothesis, Part
+from equimus_ctrl.diagnosis.place_excitation import excitation_of
+from equimus_ctrl.diagnosis.residuals import ResidualForce
+from equimus_ctrl.diagnosis.search import Search
+from equimus_ctrl.diagnosis.search_state import SearchState
+from equimus_ctrl.diagnosis.thresholds import Thresholds
+from equimus_ctrl.effects.smooth import SmoothFriction
+from equimus_ctrl.errors import SimulationDiverged
+from equimus_ctrl.identification.parameters import place_unit
+from equimus_ctrl.types import Array
+
+COVERED = (0.02, 0.98)
+"""Quantiles of the measured angles between which the knots are: what is seldom passed says little."""
+SIZES = (0.01, 0.03, 0.1, 0.3)
+"""Of the force that moves the joint through its range, with which fits begin."""
+EVEN = 0.1
+"""Share of even knots in those that follow the samples: none coincide."""
+
+
+@dataclass(frozen=True, eq=False)
+class FrictionOverAngle:
+    """Dry friction of any size over the angle, in the place of a named law.
+
+    Attributes:
+        joint: where.
+        fitted: the hypothesis with it and without the law.
+        gain: −2Δln L by it in the place of the law.
+    """
+
+    joint: str
+    fitted: Fitted
+    gain: float
+
+    def told(self, search: Search) -> ResidualForce:
+        """Of a report; without an interval where recordings do not determine it all."""
+        model, part, axis = search.data.free.model, self.fitted.hypothesis[-1], Coordinate("pos", self.joint)
+        given, uncertainty = part.candidate.given, self.fitted.fit.uncertainty
+        x = np.array([given[f"x{k}"] for k in range(1, part.candidate.n_parameters + 1)])
+        band = CONFIDENT * given["force_scale"] * uncertainty.standard_error[-len(x) :]
+        known = bool(np.all(np.isfinite(band)))
+        return ResidualForce(
+            location=self.joint,
+            share=1.0,
+            coordinates=(axis, Coordinate("vel", self.joint, sign=True)),
+            places=(self.joint,),
+            gain=self.gain,
+            threshold=search.threshold(part.candidate.n_parameters),
+            unit=place_unit(model, "N·m", self.joint),
+            axis=axis if known else None,
+            axis_unit=place_unit(model, "rad", self.joint) if known else "",
+            x=x if known else np.empty(0),
+            force=given["force_scale"] * self.fitted.fit.theta[-len(x) :] if known else np.empty(0),
+            band=band if known else np.empty(0),
+        )
+
+
+def friction_in_place(search: Search, state: SearchState, split: Split) -> Mapping[int, FrictionOverAngle]:
+    """Places of parts of the best hypothesis that are rather friction over the angle, with it.
+
+    Args:
+        search: that ended.
+        state: the end.
+        split: with the validation trials.
+
+    Raises:
+        BudgetSpent: where the budget ends.
+    """
+    best, found = state.best, dict[int, FrictionOverAngle]()
+    holdout = HoldoutResiduals(search.data, split, state)
+    parts = _alone_at(search, best)
+    candidates = {_candidate(search, joint): joint for joint in parts}
+    for candidate in asked_in_torques(search, best, list(candidates)):
+        joint = candidates[candidate]
+        beside = _fitted(search, best, candidate)
+        if beside is None:
+            continue
+        for k in parts[joint]:
+            fall = state.without[k].deviance - best.deviance
+            if not search.data.thresholds.decides(partial(_counts, best.deviance - beside.deviance, fall)):
+                continue
+            own = fitted_without(search, beside, beside.hypothesis[:k] + beside.hypothesis[k + 1 :])
+            if own is None or not search.data.thresholds.decides(partial(_replaces, best, beside, own, fall)):
+                continue
+            if _is_the_same(search, own, best.hypothesis[k], joint):
+                continue
+            if not split.validation or confirms(search, carried_over(search, holdout, best, own)):
+                found[k] = FrictionOverAngle(joint, own, best.deviance - own.deviance)
+    return found
+
+
+def _alone_at(search: Search, fitted: Fitted) -> dict[str, list[int]]:
+    """Joints at which parts of a hypothesis act, and nowhere else, with the places of these."""
+    found: dict[str, list[int]] = {}
+    for k, part in enumerate(fitted.hypothesis):
+        joints = joints_of(search, part)
+        if len(joints) == 1:
+            found.setdefault(joints.pop(), []).append(k)
+    return found
+
+
+def _counts(gain: float, fall: float, t: Thresholds) -> bool:
+    return gain > t.generalised_share * fall
+
+
+def _replaces(best: Fitted, beside: Fitted, own: Fitted, fall: float, t: Thresholds) -> bool:
+    """Whether friction over the angle alone gains that more than a law, which gains less than that beside it."""
+    return _counts(best.deviance - own.deviance, fall, t) and not _counts(own.deviance - beside.deviance, fall, t)
+
+
+def _fitted(search: Search, best: Fitted, candidate: Candidate) -> Fitted | None:
+    """Friction over the angle fitted beside a hypothesis; None where it gains too little, or diverges.
+
+    It begins at nothing, at one size everywhere, and at that about one angle, whatever is best.
+    """
+    data, n = search.data, candidate.n_parameters
+    about = [np.ones(n), *(np.eye(n)[k] + np.eye(n)[k + 1] for k in range(n - 1))]
+    values = [np.zeros(n), *(share / max(SIZES) * own for share in SIZES for own in about)]
+    hypothesis: Hypothesis = (*best.hypothesis, Part(candidate, dict(SmoothFriction.neutral)))
+    begin = [(np.append(best.fit.theta, own), best.fit.starts) for own in values]
+    try:
+        fitted = data.coarse_fit(hypothesis, begin, best.noise, search.settings.long_steps)
+        return data.converge(fitted) if search.accepts(best, fitted) else None
+    except SimulationDiverged:
+        return None
+
+
+def _candidate(search: Search, joint: str) -> Candidate:
+    """Friction over the angles that were measured."""
+    x, _ = along(search, joint)
+    force = excitation_of(search.data.free.model, search.data.segments)[joint].force
+    knots = {f"x{k}": float(own) for k, own in enumerate(knots_of(x, len(SmoothFriction.neutral)), 1)}
+    given = {**knots, "force_scale": max(max(SIZES) * force, 1e-9)}
+    return Candidate(SmoothFriction, (joint,), (dict(SmoothFriction.neutral),), given=given)
+
+
+def knots_of(x: Array, count: int) -> Array:
+    """(count,) increasing knots over positions x, closer where more of these are.
+
+    Half of what is between two is a share of the samples, half one of the range: at most twice as far apart as even
+    ones.
+    """
+    low, high = np.quantile(x, COVERED)
+    high = max(float(high), float(low) + 1e-9)
+    inside = np.sort(np.clip(x, low, high))
+    level = (np.arange(1, len(inside) + 1) / len(inside) + (inside - low) / (high - low)) / 2
+    found = np.interp(np.linspace(0.0, 1.0, count), level, inside)
+    ends = np.linspace(low, high, count)
+    return np.asarray((1 - EVEN) * found + EVEN * ends)
+
+
+def _is_the_same(search: Search, fitted: Fitted, part: Part, joint: str) -> bool:
+    """Whether friction over the angle is a friction law at its joint, whatever size that has."""
+    if joint not in part.candidate.locations or not part.candidate.effect.dry:
+        return False
+    x, rate = along(search, joint)
+    whole = force_of(fitted.hypothesis[-1], joint, x, rate)
+    own = force_of(part, joint, x, rate)
+    return not search.data.thresholds.decides(partial(another_law, share_beyond(whole, own[:, None])))
