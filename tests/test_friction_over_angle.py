@@ -108,6 +108,11 @@ def test_a_law_that_imitates_a_rough_spot_gives_way_to_it() -> None:
     assert state.without[0].deviance - state.best.deviance > 100
     ((k, found),) = friction_in_place(search, state, parts).items()
     assert k == 0 and found.joint == "hinge" and found.gain > 100
+    told = found.told(search)
+    assert told.x[np.argmin(told.force)] == pytest.approx(SPOT.centre, abs=SPOT.width / 2)
+    assert told.force.min() == pytest.approx(-SPOT.friction, rel=0.25) and told.force.max() <= 0
+    far = np.abs(told.x - SPOT.centre) > 3 * SPOT.width
+    assert np.all(np.abs(told.force[far]) < 0.05 * SPOT.friction)
     analysis = analysed(search, state, parts)
     assert analysis.redundant == {0: GENERALISED}
     force = next(f for f in analysis.unexplained if isinstance(f, ResidualForce))

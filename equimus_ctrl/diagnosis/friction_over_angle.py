@@ -65,7 +65,7 @@ class FrictionOverAngle:
     gain: float
 
     def told(self, search: Search) -> ResidualForce:
-        """Of a report; without an interval where recordings do not determine it all."""
+        """Of a report, as the force at a positive speed; without a curve where recordings do not determine it all."""
         model, part, axis = search.data.free.model, self.fitted.hypothesis[-1], Coordinate("pos", self.joint)
         given, uncertainty = part.candidate.given, self.fitted.fit.uncertainty
         x = np.array([given[f"x{k}"] for k in range(1, part.candidate.n_parameters + 1)])
@@ -82,13 +82,13 @@ class FrictionOverAngle:
             axis=axis if known else None,
             axis_unit=place_unit(model, "rad", self.joint) if known else "",
             x=x if known else np.empty(0),
-            force=given["force_scale"] * self.fitted.fit.theta[-len(x) :] if known else np.empty(0),
+            force=0.0 - given["force_scale"] * self.fitted.fit.theta[-len(x) :] if known else np.empty(0),
             band=band if known else np.empty(0),
         )
 
 
 def friction_in_place(search: Search, state: SearchState, split: Split) -> Mapping[int, FrictionOverAngle]:
-    """Places of parts of the best hypothesis that are rather friction over the angle, with it.
+    """Places of parts of the best hypothesis that are rather friction over the angle, with it; one at a joint at most.
 
     Args:
         search: that ended.
@@ -107,6 +107,7 @@ def friction_in_place(search: Search, state: SearchState, split: Split) -> Mappi
         beside = _fitted(search, best, candidate)
         if beside is None:
             continue
+        rather = dict[int, FrictionOverAngle]()
         for k in parts[joint]:
             fall = state.without[k].deviance - best.deviance
             if not search.data.thresholds.decides(partial(_counts, best.deviance - beside.deviance, fall)):
@@ -117,7 +118,10 @@ def friction_in_place(search: Search, state: SearchState, split: Split) -> Mappi
             if _is_the_same(search, own, best.hypothesis[k], joint):
                 continue
             if not split.validation or confirms(search, carried_over(search, holdout, best, own)):
-                found[k] = FrictionOverAngle(joint, own, best.deviance - own.deviance)
+                rather[k] = FrictionOverAngle(joint, own, best.deviance - own.deviance)
+        if rather:
+            most = max(rather, key=lambda k: rather[k].gain)
+            found[most] = rather[most]
     return found
 
 
