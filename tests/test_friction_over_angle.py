@@ -11,7 +11,7 @@ import pytest
 from named_pendulums import fitted_law
 
 from equimus_ctrl.diagnosis import friction_over_angle
-from equimus_ctrl.diagnosis.friction_over_angle import friction_in_place, knots_of
+from equimus_ctrl.diagnosis.friction_over_angle import friction_in_place, knots_about, knots_of, largest
 from equimus_ctrl.diagnosis.residuals import ResidualForce
 from equimus_ctrl.diagnosis.smooth_laws import analysed
 from equimus_ctrl.diagnosis.unexplained import GENERALISED
@@ -100,6 +100,18 @@ def test_knots_are_where_the_samples_are_and_nowhere_far_apart(seed: int) -> Non
     assert np.all(gaps > 0) and gaps.max() < 2.2 * (high - low) / 11
     assert np.sum(np.abs(knots - 0.3) < 0.1) >= 5
     assert np.all(np.diff(knots_of(np.full(50, 0.7), 12)) > 0)
+
+
+def test_knots_come_closer_together_where_the_friction_is() -> None:
+    sizes = np.array([0.4, 0.0, 0.1, 0.3, 0.2, 0.0, 0.0, 0.5, 0.5, 0.0, 0.0, 0.1])
+    assert largest(sizes)[0] in (7, 8) and len(largest(sizes)) == friction_over_angle.PEAKS
+    assert largest(np.zeros(12)) == []
+    for centre in (-15.0, -2.0, 0.1, 1.2):
+        knots = knots_about(centre, 0.05, -15.0, 1.2, 12)
+        assert np.all(np.diff(knots) > 0) and (knots[0], knots[-1]) == (-15.0, 1.2)
+        at = int(np.argmin(np.abs(knots - centre)))
+        assert knots[at] == centre
+        assert all(abs(knots[k] - centre) < 0.1 for k in (at - 1, at + 1) if 0 <= k < 12)
 
 
 @pytest.mark.slow

@@ -11,7 +11,7 @@ the size that is found is that law's own, give or take ``Thresholds.no_constant`
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
@@ -46,6 +46,12 @@ COVERED = (0.02, 0.98)
 """Quantiles of the measured angles between which the knots are: what is seldom passed says little."""
 SIZES = (0.01, 0.03, 0.1, 0.3)
 """Of the force that moves the joint through its range, with which fits begin."""
+REFINED = 4
+"""Times that knots are moved to where the friction is."""
+CLOSER = 3
+"""Times that they are closer together there then."""
+PEAKS = 2
+"""Angles at which that is tried."""
 EVEN = 0.1
 """Share of even knots in those that follow the samples: none coincide."""
 
@@ -68,7 +74,7 @@ class FrictionOverAngle:
         """Of a report, as the force at a positive speed; without a curve where recordings do not determine it all."""
         model, part, axis = search.data.free.model, self.fitted.hypothesis[-1], Coordinate("pos", self.joint)
         given, uncertainty = part.candidate.given, self.fitted.fit.uncertainty
-        x = np.array([given[f"x{k}"] for k in range(1, part.candidate.n_parameters + 1)])
+        x = knots_in(part.candidate)
         band = CONFIDENT * given["force_scale"] * uncertainty.standard_error[-len(x) :]
         known = bool(np.all(np.isfinite(band)))
         return ResidualForce(
@@ -101,19 +107,28 @@ def friction_in_place(search: Search, state: SearchState, split: Split) -> Mappi
     best, found = state.best, dict[int, FrictionOverAngle]()
     holdout = HoldoutResiduals(search.data, split, state)
     parts = _alone_at(search, best)
+
+    def counts(gain: float, fall: float) -> bool:
+        return search.data.thresholds.decides(partial(_counts, gain, fall))
+
     candidates = {_candidate(search, joint): joint for joint in parts}
     for candidate in asked_in_torques(search, best, list(candidates)):
         joint = candidates[candidate]
         beside = _fitted(search, best, candidate)
         if beside is None:
             continue
+        falls = {k: state.without[k].deviance - best.deviance for k in parts[joint]}
+        asked = [k for k, fall in falls.items() if counts(best.deviance - beside.deviance, fall)]
+        if not asked:
+            continue
+        beside = _refined(search, best, beside)
         rather = dict[int, FrictionOverAngle]()
-        for k in parts[joint]:
-            fall = state.without[k].deviance - best.deviance
-            if not search.data.thresholds.decides(partial(_counts, best.deviance - beside.deviance, fall)):
-                continue
+        for k in asked:
             own = fitted_without(search, beside, beside.hypothesis[:k] + beside.hypothesis[k + 1 :])
-            if own is None or not search.data.thresholds.decides(partial(_replaces, best, beside, own, fall)):
+            if own is None:
+                continue
+            own = _refined(search, state.without[k], own)
+            if not search.data.thresholds.decides(partial(_replaces, best, beside, own, falls[k])):
                 continue
             if _is_the_same(search, own, best.hypothesis[k], joint):
                 continue
@@ -161,13 +176,82 @@ def _fitted(search: Search, best: Fitted, candidate: Candidate) -> Fitted | None
         return None
 
 
+def _refined(search: Search, before: Fitted, fitted: Fitted) -> Fitted:
+    """The same with knots closer together where the friction is largest, as long as it gains that much more.
+
+    Args:
+        search: that ended.
+        before: the hypothesis without friction over the angle.
+        fitted: the same with it.
+    """
+    for _ in range(REFINED):
+        sizes = fitted.fit.theta[-fitted.hypothesis[-1].candidate.n_parameters :]
+        others = [_closer(search, fitted, sizes, k) for k in largest(sizes)]
+        best = min((other for other in others if other), key=lambda f: f.deviance, default=fitted)
+        more, whole = fitted.deviance - best.deviance, before.deviance - best.deviance
+        if more <= 0 or not search.data.thresholds.decides(partial(_counts, more, whole)):
+            break
+        fitted = best
+    return fitted
+
+
+def _closer(search: Search, fitted: Fitted, sizes: Array, k: int) -> Fitted | None:
+    """The same with knots closer together about one of them; None where it diverges.
+
+    It begins as it was, and with a spot there of several widths, once and twice as high.
+    """
+    data, candidate, n = search.data, fitted.hypothesis[-1].candidate, len(sizes)
+    knots = knots_in(candidate)
+    gap = float(np.gradient(knots)[k])
+    closer = knots_about(knots[k], gap / CLOSER, knots[0], knots[-1], n)
+    at = int(np.argmin(np.abs(closer - knots[k])))
+    as_it_was = np.interp(closer, knots, sizes)
+    far = np.where(np.abs(closer - knots[k]) < gap, 0.0, as_it_was)
+    spots = [np.isin(np.arange(n), range(at - left, at + right + 1)) for left in (0, 1) for right in (0, 1)]
+    own = [as_it_was, *(far + times * sizes[k] * spot for times in (1, 2) for spot in spots)]
+    there = replace(candidate, given={**candidate.given, **_given(closer)})
+    hypothesis: Hypothesis = (*fitted.hypothesis[:-1], Part(there, dict(SmoothFriction.neutral)))
+    begin = [(np.append(fitted.fit.theta[:-n], one), fitted.fit.starts) for one in own]
+    try:
+        return data.converge(data.coarse_fit(hypothesis, begin, fitted.noise, search.settings.long_steps))
+    except SimulationDiverged:
+        return None
+
+
+def largest(sizes: Array) -> list[int]:
+    """The places of the largest local maxima of sizes (k,), those of nothing left out."""
+    beside = np.maximum(np.append(sizes[1:], 0.0), np.append(0.0, sizes[:-1]))
+    peaks = np.flatnonzero((sizes > 0) & (sizes >= beside))
+    return [int(k) for k in peaks[np.argsort(-sizes[peaks], kind="stable")][:PEAKS]]
+
+
+def knots_about(centre: float, width: float, low: float, high: float, count: int) -> Array:
+    """(count,) increasing knots from ``low`` to ``high``, one of them at a centre, even in asinh((x − centre)/width).
+
+    So their gaps are about a width near the centre and grow with the distance from there.
+    """
+    first, last = np.arcsinh((low - centre) / width), np.arcsinh((high - centre) / width)
+    inner = np.linspace(first, last, count)[1:-1]
+    if first < 0 < last:
+        inner[np.argmin(np.abs(inner))] = 0.0
+    return np.concatenate([[low], centre + width * np.sinh(inner), [high]])
+
+
 def _candidate(search: Search, joint: str) -> Candidate:
     """Friction over the angles that were measured."""
     x, _ = along(search, joint)
     force = excitation_of(search.data.free.model, search.data.segments)[joint].force
-    knots = {f"x{k}": float(own) for k, own in enumerate(knots_of(x, len(SmoothFriction.neutral)), 1)}
-    given = {**knots, "force_scale": max(max(SIZES) * force, 1e-9)}
+    given = {**_given(knots_of(x, len(SmoothFriction.neutral))), "force_scale": max(max(SIZES) * force, 1e-9)}
     return Candidate(SmoothFriction, (joint,), (dict(SmoothFriction.neutral),), given=given)
+
+
+def _given(knots: Array) -> dict[str, float]:
+    return {f"x{k}": float(own) for k, own in enumerate(knots, 1)}
+
+
+def knots_in(candidate: Candidate) -> Array:
+    """(k,) the knots of friction over the angle."""
+    return np.array([candidate.given[f"x{k}"] for k in range(1, candidate.n_parameters + 1)])
 
 
 def knots_of(x: Array, count: int) -> Array:

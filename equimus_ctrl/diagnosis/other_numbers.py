@@ -341,6 +341,9 @@ _ROWS: Mapping[str, tuple[Row, ...]] = {
     "diagnosis.friction_over_angle": (
         ("COVERED", (0.02, 0.98), "method", "convention", "quantiles of measured angles that its knots are between"),
         ("SIZES", (0.01, 0.03, 0.1, 0.3), "looked at", "convention", "with which fits of it begin"),
+        ("REFINED", 4, "looked at", "convention", "times that its knots are moved to where it is largest"),
+        ("CLOSER", 3, "looked at", "convention", "times that they are closer together there then"),
+        ("PEAKS", 2, "looked at", "convention", "angles at which that is tried"),
         ("EVEN", 0.1, "method", "convention", "share of even knots in those that follow the samples"),
     ),
     # --- what is told -------------------------------------------------------------------------------------------------
