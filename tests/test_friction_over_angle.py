@@ -13,8 +13,8 @@ from named_pendulums import fitted_law
 from equimus_ctrl.diagnosis import friction_over_angle
 from equimus_ctrl.diagnosis.friction_over_angle import friction_in_place, knots_about, knots_of, largest
 from equimus_ctrl.diagnosis.residuals import ResidualForce
-from equimus_ctrl.diagnosis.smooth_laws import analysed
-from equimus_ctrl.diagnosis.unexplained import GENERALISED
+from equimus_ctrl.diagnosis.smooth_laws import analysed, analysed_without, without_redundant
+from equimus_ctrl.diagnosis.unexplained import GENERALISED, ResidualAnalysis
 from equimus_ctrl.effects import (
     REGISTRY,
     CoulombFriction,
@@ -125,10 +125,14 @@ def test_a_law_that_imitates_a_rough_spot_gives_way_to_it() -> None:
     assert told.force.min() == pytest.approx(-SPOT.friction, rel=0.25) and told.force.max() <= 0
     far = np.abs(told.x - SPOT.centre) > 3 * SPOT.width
     assert np.all(np.abs(told.force[far]) < 0.05 * SPOT.friction)
-    analysis = analysed(search, state, parts)
-    assert analysis.redundant == {0: GENERALISED}
-    force = next(f for f in analysis.unexplained if isinstance(f, ResidualForce))
-    assert force.depends_on == "pos.hinge·sign(vel.hinge)" and force.location == "hinge"
+    assert analysed(search, state, parts).redundant == {0: GENERALISED}
+    analysis = ResidualAnalysis((told,), {0: GENERALISED}, instead={"hinge": told})
+    end, dropped = without_redundant(search, state, analysis)
+    assert [gone.candidate.label for gone in dropped] == ["stribeck_friction:hinge"] and not end.best.hypothesis
+    left = analysed_without(search, end, parts, analysis)
+    (force,) = left.unexplained
+    assert isinstance(force, ResidualForce) and force.x is told.x
+    assert told.depends_on == "pos.hinge·sign(vel.hinge)" and told.location == "hinge"
 
 
 @pytest.mark.slow

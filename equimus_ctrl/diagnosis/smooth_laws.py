@@ -11,7 +11,7 @@ Where there is a torque domain, only what it asks for is simulated.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Literal
@@ -111,8 +111,9 @@ def analysed(search: Search, state: SearchState, split: Split, before: Sequence[
     except BudgetSpent:
         return own
     if rather:
-        rubbing = {friction.joint: friction.told(search) for friction in rather.values()}
-        return ResidualAnalysis(_together(own.unexplained, list(rubbing.values())), dict.fromkeys(rather, GENERALISED))
+        instead = {friction.joint: friction.told(search) for friction in rather.values()}
+        gone = dict.fromkeys(rather, GENERALISED)
+        return ResidualAnalysis(_with_instead(own.unexplained, instead), gone, instead=instead)
     also = _places(before) - _places(own.unexplained)
     if not (state.best.hypothesis or also) or search.data.free.model.robot.traits.held_in_place:
         return own
@@ -163,7 +164,8 @@ def _too_little(share: float, t: Thresholds) -> bool:
 def analysed_without(search: Search, state: SearchState, split: Split, beside: ResidualAnalysis) -> ResidualAnalysis:
     """The analysis of what is left once parts that were redundant are rejected.
 
-    What was left beside them stays where nothing else is: something is missing there, whatever it is.
+    What was left beside them stays where nothing else is: something is missing there, whatever it is. A force that was
+    simulated in a part's place is told in the place of those to first order at its joint.
 
     Args:
         search: that ended.
@@ -172,9 +174,11 @@ def analysed_without(search: Search, state: SearchState, split: Split, beside: R
         beside: the analysis with them.
     """
     analysis = analysed(search, state, split, beside.unexplained)
-    if state.best.hypothesis or analysis.unexplained:
-        return analysis
-    return ResidualAnalysis(beside.unexplained)
+    if not (state.best.hypothesis or analysis.unexplained):
+        analysis = ResidualAnalysis(beside.unexplained)
+    left = {own.location for own in analysis.unexplained}
+    instead = {**{joint: force for joint, force in beside.instead.items() if joint in left}, **analysis.instead}
+    return replace(analysis, unexplained=_with_instead(analysis.unexplained, instead), instead=instead)
 
 
 def without_redundant(
@@ -204,6 +208,13 @@ def _places(unexplained: Sequence[Unexplained]) -> set[str]:
 def _others(part: Part, joints: Collection[str]) -> tuple[str, ...]:
     """The places of a part but some."""
     return tuple(place for place in part.candidate.locations if place not in joints)
+
+
+def _with_instead(known: Sequence[Unexplained], instead: Mapping[str, ResidualForce]) -> tuple[Unexplained, ...]:
+    """What is left, at some joints the forces that were simulated in the place of laws there."""
+    if not instead:
+        return tuple(known)
+    return _together([own for own in known if own.location not in instead], list(instead.values()))
 
 
 def _together(known: Sequence[Unexplained], smooth: Sequence[ResidualForce]) -> tuple[Unexplained, ...]:

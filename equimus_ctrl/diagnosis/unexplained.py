@@ -75,11 +75,13 @@ class ResidualAnalysis:
         redundant: places of parts of the hypothesis that are to be rejected, with the reason.
         fewer: of those the laws with a size of their own at each place that are rejected at some alone, with the
             places at which they stay.
+        instead: forces, by joint, that were simulated in the place of parts, and stand for all that is missing there.
     """
 
     unexplained: tuple[Unexplained, ...] = ()
     redundant: Mapping[int, str] = field(default_factory=dict)
     fewer: Mapping[int, tuple[str, ...]] = field(default_factory=dict)
+    instead: Mapping[str, ResidualForce] = field(default_factory=dict)
 
     def rejected(self, hypothesis: Hypothesis) -> dict[Part, str]:
         """The parts of the hypothesis that are rejected, or what is rejected of them, with the reason."""
