@@ -219,7 +219,7 @@ def _closer(search: Search, fitted: Fitted, sizes: Array, k: int) -> Fitted | No
 
 
 def largest(sizes: Array) -> list[int]:
-    """The places of the largest local maxima of sizes (k,), those of nothing left out."""
+    """The places of the largest local maxima of sizes (k,), of those that are more than nothing."""
     beside = np.maximum(np.append(sizes[1:], 0.0), np.append(0.0, sizes[:-1]))
     peaks = np.flatnonzero((sizes > 0) & (sizes >= beside))
     return [int(k) for k in peaks[np.argsort(-sizes[peaks], kind="stable")][:PEAKS]]
