@@ -19,15 +19,17 @@ from equimus_ctrl.diagnosis.holdout import Split
 from equimus_ctrl.diagnosis.hypothesis import Candidate, Part, default_free_parameters, parameters_of
 from equimus_ctrl.diagnosis.residuals import ResidualForce
 from equimus_ctrl.diagnosis.search_state import SearchState
-from equimus_ctrl.diagnosis.smooth_laws import SHAPES, SmoothLaw, analysed, beside, redundant
+from equimus_ctrl.diagnosis.smooth_laws import SHAPES, SmoothLaw, analysed, beside, in_place_of_all, redundant
 from equimus_ctrl.diagnosis.thresholds import Thresholds
-from equimus_ctrl.diagnosis.unexplained import GENERALISED, ResidualAnalysis
+from equimus_ctrl.diagnosis.unexplained import GENERALISED, OUTDONE, ResidualAnalysis
 from equimus_ctrl.effects import (
     REGISTRY,
     AsymmetricDamping,
     ConstantForce,
     CoulombFriction,
     Effect,
+    ParallelSpring,
+    PositionDependentFriction,
     QuadraticDamping,
     ViscousFriction,
     register,
@@ -47,6 +49,11 @@ class DampingOverAngle(AngleDamping):
 
 TRUE = ViscousFriction("hinge", 0.08)
 OUTSIDE = DampingOverAngle("hinge", 0.15, -0.6, 0.6)
+SEVERAL = (
+    QuadraticDamping("hinge", 0.03),
+    PositionDependentFriction("hinge", 0.1, 0.3, 0.1),
+    ParallelSpring("hinge", 1.0, 0.2),
+)
 
 
 def test_splines_are_those_of_scipy_and_sum_to_one_within_their_range() -> None:
@@ -160,6 +167,7 @@ def test_a_joint_whose_law_was_rejected_is_asked_again_beside_those_that_stay(mo
 
     asked: list[set[str]] = []
     monkeypatch.setattr(smooth_laws, "friction_in_place", lambda *given: {})
+    monkeypatch.setattr(smooth_laws, "in_place_of_all", lambda *given: {})
     monkeypatch.setattr(smooth_laws, "beside", lambda search, state, split, also: asked.append(set(also)) or ())
     for known in ((), (force("elbow"),)):
         monkeypatch.setattr(smooth_laws, "residual_analysis", lambda *given, known=known: ResidualAnalysis(known))
@@ -231,3 +239,30 @@ def test_dry_friction_in_the_place_of_viscous_friction_is_seen_over_the_speed() 
     (law,) = beside(search, state, parts)
     assert law.shape == SHAPES[1]
     assert law.gain > 1000
+
+
+@pytest.mark.slow
+def test_several_laws_that_imitate_one_force_together_give_way_to_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    search, state, parts = fitted_law(OUTSIDE, named=[f"{law.name}:hinge" for law in SEVERAL])
+    ((joint, (law, places)),) = in_place_of_all(search, state, parts).items()
+    assert (joint, law.shape, places) == ("hinge", SHAPES[2], [0, 1, 2])
+    assert law.fitted.n_parameters <= state.best.n_parameters and search.outdoes(law.fitted, state.best)
+    monkeypatch.setattr(smooth_laws, "residual_analysis", lambda *given: ResidualAnalysis())
+    analysis = analysed(search, state, parts)
+    assert analysis.redundant == dict.fromkeys(range(3), OUTDONE)
+    (force,) = analysis.unexplained
+    assert isinstance(force, ResidualForce) and force.depends_on == "pos.hinge·vel.hinge"
+    assert list(analysis.instead) == ["hinge"] and analysis.instead["hinge"].force is force.force
+
+
+@pytest.mark.slow
+def test_several_right_laws_of_a_joint_stay() -> None:
+    search, state, parts = fitted_law(*SEVERAL, named=[f"{law.name}:hinge" for law in SEVERAL])
+    assert in_place_of_all(search, state, parts) == {}
+    assert OUTDONE not in analysed(search, state, parts).redundant.values()
+
+
+def test_laws_with_fewer_parameters_than_a_smooth_force_are_not_asked(monkeypatch: pytest.MonkeyPatch) -> None:
+    search, state, parts = fitted_law(TRUE, named=("viscous_friction:hinge", "constant_force:hinge"))
+    monkeypatch.setattr(smooth_laws, "fitted_without", None)
+    assert in_place_of_all(search, state, parts) == {}

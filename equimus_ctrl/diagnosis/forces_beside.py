@@ -81,6 +81,16 @@ def joints_of(search: Search, part: Part) -> set[str]:
     return places.intersection(robot.joint_names).union(*driven)
 
 
+def alone_at(search: Search, fitted: Fitted) -> dict[str, list[int]]:
+    """Joints at which parts of a hypothesis act, and nowhere else, with the places of these."""
+    found: dict[str, list[int]] = {}
+    for k, part in enumerate(fitted.hypothesis):
+        joints = joints_of(search, part)
+        if len(joints) == 1:
+            found.setdefault(joints.pop(), []).append(k)
+    return found
+
+
 def along(search: Search, joint: str) -> tuple[Array, Array]:
     """(n,) positions and rates of a joint at the instants that were measured."""
     data = search.data

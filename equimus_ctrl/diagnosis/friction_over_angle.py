@@ -21,12 +21,12 @@ from equimus_ctrl.diagnosis.coordinates import Coordinate
 from equimus_ctrl.diagnosis.fitting import Fitted
 from equimus_ctrl.diagnosis.forces_beside import (
     CONFIDENT,
+    alone_at,
     along,
     another_law,
     asked_in_torques,
     fitted_without,
     force_of,
-    joints_of,
     share_beyond,
 )
 from equimus_ctrl.diagnosis.holdout import Split
@@ -106,7 +106,7 @@ def friction_in_place(search: Search, state: SearchState, split: Split) -> Mappi
     """
     best, found = state.best, dict[int, FrictionOverAngle]()
     holdout = HoldoutResiduals(search.data, split, state)
-    parts = _alone_at(search, best)
+    parts = alone_at(search, best)
 
     def counts(gain: float, fall: float) -> bool:
         return search.data.thresholds.decides(partial(_counts, gain, fall))
@@ -137,16 +137,6 @@ def friction_in_place(search: Search, state: SearchState, split: Split) -> Mappi
         if rather:
             most = max(rather, key=lambda k: rather[k].gain)
             found[most] = rather[most]
-    return found
-
-
-def _alone_at(search: Search, fitted: Fitted) -> dict[str, list[int]]:
-    """Joints at which parts of a hypothesis act, and nowhere else, with the places of these."""
-    found: dict[str, list[int]] = {}
-    for k, part in enumerate(fitted.hypothesis):
-        joints = joints_of(search, part)
-        if len(joints) == 1:
-            found.setdefault(joints.pop(), []).append(k)
     return found
 
 

@@ -7,6 +7,9 @@ angle, is fitted beside it (``effects.smooth``), begun at nothing. The hypothesi
 gain is judged by the likelihood-ratio test, and on validation trials, as that of any part.
 
 Where there is a torque domain, only what it asks for is simulated.
+
+Several laws of one joint may together be what none of them is, one against the other. So such a force is also fitted in
+the place of all that act at a joint alone, where it has no more parameters than they.
 """
 
 from __future__ import annotations
@@ -26,6 +29,7 @@ from equimus_ctrl.diagnosis.fitting import Fitted
 from equimus_ctrl.diagnosis.forces_beside import (
     CONFIDENT,
     WIDER,
+    alone_at,
     along,
     another_law,
     asked_in_torques,
@@ -44,7 +48,7 @@ from equimus_ctrl.diagnosis.search import Search
 from equimus_ctrl.diagnosis.search_state import SearchState
 from equimus_ctrl.diagnosis.thresholds import Thresholds
 from equimus_ctrl.diagnosis.torque_agreement import more_beside
-from equimus_ctrl.diagnosis.unexplained import GENERALISED, ResidualAnalysis, residual_analysis
+from equimus_ctrl.diagnosis.unexplained import GENERALISED, OUTDONE, ResidualAnalysis, residual_analysis
 from equimus_ctrl.effects.excitation import Excitation
 from equimus_ctrl.effects.force import ForceEffect
 from equimus_ctrl.effects.smooth import SmoothForce
@@ -107,12 +111,15 @@ def analysed(search: Search, state: SearchState, split: Split, before: Sequence[
     if own.redundant:
         return own
     try:
-        rather = friction_in_place(search, state, split)
+        together = in_place_of_all(search, state, split)
+        rather = {} if together else friction_in_place(search, state, split)
     except BudgetSpent:
         return own
-    if rather:
-        instead = {friction.joint: friction.told(search) for friction in rather.values()}
+    if together or rather:
+        instead = {joint: _residual_force(search, law) for joint, (law, _) in together.items()}
+        instead |= {friction.joint: friction.told(search) for friction in rather.values()}
         gone = dict.fromkeys(rather, GENERALISED)
+        gone |= {k: OUTDONE for _, places in together.values() for k in places}
         return ResidualAnalysis(_with_instead(own.unexplained, instead), gone, instead=instead)
     also = _places(before) - _places(own.unexplained)
     if not (state.best.hypothesis or also) or search.data.free.model.robot.traits.held_in_place:
@@ -294,6 +301,45 @@ def redundant(search: Search, state: SearchState, laws: Sequence[SmoothLaw]) -> 
             other = replace(law, fitted=alone)
             if not drawn or search.data.thresholds.decides(partial(another_law, _beyond(search, other, part))):
                 found.setdefault((k, law.joint), other)
+    return found
+
+
+def in_place_of_all(search: Search, state: SearchState, split: Split) -> dict[str, tuple[SmoothLaw, list[int]]]:
+    """Smooth forces, by joint, that outdo all laws there together, with the places of these.
+
+    Of joints at which several parts act, and nowhere else. The force has no more parameters than they; it scores better
+    by what another hypothesis is taken for (``Scoring.outdoes``), and validation trials confirm it in their place.
+
+    Args:
+        search: that ended.
+        state: the end.
+        split: with the validation trials.
+
+    Raises:
+        BudgetSpent: where the budget ends.
+    """
+    best, found = state.best, dict[str, tuple[SmoothLaw, list[int]]]()
+
+    def as_rich(places: Sequence[int]) -> bool:
+        return sum(best.hypothesis[k].candidate.n_parameters for k in places) >= len(SmoothForce.neutral)
+
+    several = {joint: at for joint, at in alone_at(search, best).items() if len(at) > 1 and as_rich(at)}
+    if not several:
+        return found
+    excitation = excitation_of(search.data.free.model, search.data.segments)
+    holdout = HoldoutResiduals(search.data, split, state)
+    for joint, places in several.items():
+        rest = fitted_without(search, best, tuple(p for k, p in enumerate(best.hypothesis) if k not in places))
+        if rest is None:
+            continue
+        for shape in SHAPES:
+            law = _fitted(search, rest, joint, shape, _candidate(joint, shape, excitation[joint]))
+            if law is None or not search.outdoes(law.fitted, best):
+                continue
+            if split.validation and not confirms(search, carried_over(search, holdout, best, law.fitted)):
+                continue
+            if joint not in found or law.fitted.deviance < found[joint][0].fitted.deviance:
+                found[joint] = replace(law, gain=rest.deviance - law.fitted.deviance), places
     return found
 
 

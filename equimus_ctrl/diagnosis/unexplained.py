@@ -45,6 +45,7 @@ CONFOUNDED = "it explains nothing more beside a residual force"
 REPLACED = "a residual force in its place explains as much"
 DEGENERATE = "its parameters strain its law"
 GENERALISED = "what it leaves at its place goes with more than its law does"
+OUTDONE = "one force explains more than all laws of its joint together"
 """Why parts of a hypothesis are rejected."""
 
 

@@ -30,7 +30,7 @@ class SmoothForce(ForceEffect):
     """
 
     name = "smooth_force"
-    robots = ("mjcf",)
+    robots = ("elastic", "mjcf")
     sits_at = ("joint",)
     summary = "a force of any smooth shape over the angle or the speed"
     alike = False
