@@ -96,6 +96,7 @@ def test_a_true_effect_is_not(text: str, values: tuple[float, ...], outside: tup
     assert bool(rest.unexplained) == bool(outside)
 
 
+@pytest.mark.slow
 def test_what_a_bound_holds_back_takes_no_part_of_a_residual() -> None:
     """A damping below all that it may be: to first order the parameter itself would cross its bound and explain it."""
     drawn = draw(20, 4, kind="none", trials=4, duration=5.0)

@@ -60,6 +60,7 @@ def test_a_design_decides_between_two_frictions() -> None:
     assert found.leaves_with == 1 / 20
 
 
+@pytest.mark.slow
 def test_it_does_better_than_what_comes_to_mind() -> None:
     """A step of half the range, up and down."""
     found, rivals = design(), frictions()

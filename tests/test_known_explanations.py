@@ -98,6 +98,7 @@ def test_a_law_with_its_own_sizes_is_its_parts_where_a_pool_has_only_these() -> 
     assert hypothesis_of(known("viscous_friction", damping=0.1), alone) is None
 
 
+@pytest.mark.slow
 def test_what_was_possible_before_is_fitted_in_a_part_s_place() -> None:
     """Alone it need not fit better, and nothing else may have looked at it."""
     model = nominal_model()

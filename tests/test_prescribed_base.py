@@ -123,6 +123,7 @@ WALKER = """<mujoco model="walker"><compiler angle="radian"/><option timestep="0
   <actuator><position name="hip" joint="hip" kp="60"/><position name="knee" joint="knee" kp="60"/></actuator></mujoco>"""
 
 
+@pytest.mark.slow
 def test_feet_stand_on_the_floor_as_under_a_heavy_base() -> None:
     """By hand: two heavy slides, put where they belong in each step, and a solver that goes on to the end."""
     times, heavy = np.arange(81) / 200, 1e6

@@ -510,6 +510,7 @@ def test_workers_make_the_same_bits(tmp_path: Path) -> None:
     assert [m.seal for m in make_cases(alone, range(2), HERE)] == seals
 
 
+@pytest.mark.slow
 def test_a_leg_that_stays_in_its_stops_is_drawn_again(tmp_path: Path) -> None:
     """A diagnosis refuses recordings of noise alone."""
     request = Request(tmp_path, 30115105, None, 2, 6.0, excitation="poor")
